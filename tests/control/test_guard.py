@@ -38,6 +38,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.network import Network
@@ -71,6 +72,7 @@ def window_of(state: StepState) -> WindowData:
         state.eta_charge,
         state.eta_discharge,
         state.offset_pu2[None],
+        parts=Parts.one(state.site.network, len(state.soc), 1),
     )
 
 
@@ -704,7 +706,8 @@ def test_batteries_of_a_feeder_that_is_off_are_not_silent(tiny: Scenario) -> Non
     seen = day.observe(make_controller(tiny, OPTIONS), 1)
     idle = replace(seen, battery_kw=np.zeros(2))
     flows = np.zeros(3)
-    off = OperatingPoint(np.ones(4), flows, flows, np.zeros(4), np.zeros(4))
+    none_out = np.zeros(3, dtype=bool)
+    off = OperatingPoint(np.ones(4), flows, flows, np.zeros(4), np.zeros(4), lines_out=none_out)
     on = replace(off, p_injection_kw=np.array([0.0, -5.0, 0.0, 0.0]))
     assert estimator.known(idle).online.all()  # dark: no operating point
     assert estimator.known(replace(idle, operating_point=off)).online.all()

@@ -18,7 +18,7 @@ from vppres.day.metrics import cautions
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.report.events import events_of
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 
 PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
@@ -28,7 +28,7 @@ NOON, HOUR = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
 def with_fault(day: Scenario, **place: object) -> Scenario:
     """The day without its outage, with a fault from 12:00 to 14:00."""
     limit_kw = [float("inf")] * day.grid.n_steps
-    fault = Fault(NOON, NOON + 2 * HOUR, **place)
+    fault = LineFault(NOON, NOON + 2 * HOUR, **place)
     return replace(day, grid_limit_kw=limit_kw, faults=(fault,))
 
 
@@ -60,7 +60,7 @@ def test_a_part_with_a_former_is_an_island(tiny: Scenario) -> None:
 def test_a_lower_tier_elsewhere_is_no_inversion(tiny: Scenario) -> None:
     stores = replace(tiny.batteries, grid_forming=[True, False], soc_initial=[0.8] * 2)
     times = tiny.grid.times
-    fault = Fault(times[0], times[-1] + HOUR, line=3)
+    fault = LineFault(times[0], times[-1] + HOUR, line=3)
     run = run_day(replace(tiny, batteries=stores, faults=(fault,)), PAPER)
     served = run.by_step("customers", "served")[tiny.outage]
     assert not served[:, 1].any() and served[:, 2].any()  # the shop behind the line, and homes
@@ -89,10 +89,11 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
 
 def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
     day = with_fault(tiny, line=4)
-    with pytest.raises(InputError, match=r"faults\.csv: is not followed live"):
-        Controller.of(day, PAPER)
+    phased = replace(PAPER, mode="physical")
     with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        run_day(three_phases(day), replace(PAPER, mode="physical"))
+        Controller.of(three_phases(day), phased)
+    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
+        run_day(three_phases(day), phased)
 
 
 @pytest.mark.nightly

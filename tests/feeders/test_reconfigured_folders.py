@@ -22,7 +22,7 @@ from vppres.feeders.reconfiguration.folder import injection_at, step_of, with_co
 from vppres.feeders.reconfiguration.search import NO_LIMITS, least_loss
 from vppres.io import read_scenario, write_scenario
 from vppres.physics.powerflow import ACPowerFlow
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -123,8 +123,8 @@ def test_faults_stay_with_their_lines(tiny: Scenario) -> None:
     tie = Switches(["t"], [4], [1], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
     times = tiny.grid.times
     faults = (
-        *(Fault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
-        Fault(times[2], times[4], bus=3),
+        *(LineFault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
+        LineFault(times[2], times[4], bus=3),
     )
     day = replace(tiny, network=net, switches=tie, faults=faults)
     feeder = switched_network(net, tie, (), True)

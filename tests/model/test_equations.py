@@ -296,6 +296,7 @@ def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[flo
         q_flow_kvar=np.array([5.0, -8.0]),
         p_injection_kw=np.array([0.0, -5.0, -15.0]),
         q_injection_kvar=np.array([0.0, -12.0, 9.0]),
+        lines_out=np.zeros(2, dtype=bool),
     )
     assert delta_offset(site.network, point, centre) == pytest.approx(expected, abs=1e-15)
 

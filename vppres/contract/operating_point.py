@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from vppres.core.arrays import Flags, Floats
@@ -22,5 +22,5 @@ class OperatingPoint:
     p_injection_kw: Floats
     q_injection_kvar: Floats
     island: bool = False  #: whether the feeder was an island: some shunts are switched off there
-    #: Lines that were out, (L,); voltages are NaN where nothing held them. None where none was.
-    lines_out: Flags | None = None
+    #: Lines that were out, (L,); voltages are NaN where nothing held them.
+    lines_out: Flags = field(kw_only=True)

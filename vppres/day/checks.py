@@ -36,7 +36,8 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     InputError
         With every option, column and kind of asset that has no meaning there, and the cure.
     """
-    problems = [*_faults(scenario), *_phased(scenario, options)] or [
+    check_faults(scenario)
+    problems = [*_phased(scenario, options)] or [
         *_cold(scenario, options),
         *_controller(scenario, options, grid),
     ]
@@ -47,12 +48,17 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
         physics[kind].check_prices(scenario, options.horizon_h, options.seed)
 
 
-def _faults(scenario: Scenario) -> Iterator[Problem]:
-    """Faults of lines and buses, which plans of balanced feeders know."""
-    if not scenario.faults:
-        return
-    if scenario.phases:
-        yield Problem("faults.csv", NOT_STATED, f"Remove the file, or {BALANCED}.")
+def check_faults(scenario: Scenario) -> None:
+    """Refuse faults of lines and buses where plans do not know them.
+
+    Raises
+    ------
+    InputError
+        For a feeder with phases.
+    """
+    if scenario.faults and scenario.phases:
+        cure = f"Remove the file, or {BALANCED}."
+        raise InputError.of("faults.csv", NOT_STATED, cure)
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:

@@ -146,8 +146,6 @@ class Day:
         """Observation of the controller at step ``t``."""
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
-        if self.scenario.faults:
-            forecast = replace(forecast, out=self.scenario.out_of_service(steps, known_at=t))
         s = self.state
         ends = steps.stop == self.scenario.grid.n_steps
         seen = Observation(
@@ -220,7 +218,7 @@ class Day:
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.scenario.faults:
             out = self.scenario.out_of_service(range(t, t + 1))
-            steps[LINES_OUT] = "" if out is None else out.name(self.scenario.network, 0)
+            steps[LINES_OUT] = " and ".join(out.names(self.scenario.network, 0))
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
         record = replace(record, steps=steps, kinds=kinds)
@@ -235,7 +233,7 @@ class Day:
                 self.plant.places.at_buses(realised.p_injection_kw),
                 self.plant.places.at_buses(realised.q_injection_kvar),
                 bool(self.scenario.outage[t]),
-                None if out is None else out.lines[0],
+                lines_out=out.lines[0],
             )
         )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
@@ -250,7 +248,7 @@ class Day:
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """Outcome of a decision; physical mode's islands hold themselves, and so do parts."""
         out = self.scenario.out_of_service(range(t, t + 1))
-        if out is not None:
+        if out.lines.any():
             every = np.ones(len(self.scenario.batteries), dtype=bool)
             online = every if self.faults is None else self.faults.online(t)
             held = self._held_by_batteries(t)

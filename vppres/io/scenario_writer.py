@@ -27,7 +27,7 @@ from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
@@ -213,7 +213,7 @@ def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
     return frame_of(tuple(interruptions), schema.OutageRow)
 
 
-def _fault_frame(faults: Sequence[Fault]) -> pd.DataFrame:
+def _fault_frame(faults: Sequence[LineFault]) -> pd.DataFrame:
     """Faults as rows of ``faults.csv``; a column of numbers with empty cells would have points."""
     frame = frame_of(tuple(faults), schema.FaultRow, ("known",))
     for name in frame.columns.intersection(["line", "bus"]):

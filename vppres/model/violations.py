@@ -19,8 +19,8 @@ from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.model.parts import at_items
 from vppres.model.phases import phased_model
-from vppres.model.sections import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
 
@@ -232,12 +232,12 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Flows over lines that are out, and what dead parts serve, give or take."""
-    sections = data.sections
-    if sections is None:
+    parts = data.parts
+    if parts.whole:
         return {}
     tolerance = power_tolerance_kw(site, data)
     dead = {
-        name: at_items(sections.dead, place)
+        name: at_items(parts.dead, place)
         for name, place in (
             ("customers", site.customer_bus),
             ("pv", site.pv_bus),
@@ -246,7 +246,7 @@ def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
     }
     flows = np.hypot(d.p_flow_kw, d.q_flow_kvar)
     return {
-        "lines that are out": _most(tolerance, flows[sections.lines]),
+        "lines that are out": _most(tolerance, flows[parts.lines]),
         "dead parts": _most(
             tolerance,
             (d.pv_self_kw + d.pv_export_kw)[dead["pv"]],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import pandas as pd
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
@@ -91,6 +92,8 @@ Duration = Annotated[
     WithJsonSchema({"type": "string", "pattern": f"^{_DURATION.pattern}$", "examples": ["PT1H"]}),
 ]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Bus = Annotated[Name, BeforeValidator(lambda bus: str(bus) if type(bus) is int else bus)]
+"""A bus of the feeder, by its name or number."""
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Value = Annotated[Any, WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]})]
 """A number or null; anything else is refused by itself, where the quantity is known."""
@@ -226,6 +229,23 @@ class Outage(Interval):
     """No grid; every step that it touches counts."""
 
     type: Literal["outage"]
+
+
+class Fault(Interval):
+    """A line or a bus that is out of service; every step that it touches counts.
+
+    ``line`` is the bus that the line feeds, ``bus`` one that is out with all of its lines.
+    """
+
+    type: Literal["fault"]
+    line: Bus | None = None
+    bus: Bus | None = None
+
+    @model_validator(mode="after")
+    def _of_one_place(self) -> Fault:
+        if (self.line is None) == (self.bus is None):
+            raise ValueError("names not one place. Give line, the bus that it feeds, or bus")
+        return self
 
 
 class Onset(Body):
@@ -371,7 +391,8 @@ class Alert(Interval):
 
 
 Event = Annotated[
-    Outage | Belief | Restoration | ImportLimit | Prices | Alert, Field(discriminator="type")
+    Outage | Fault | Belief | Restoration | ImportLimit | Prices | Alert,
+    Field(discriminator="type"),
 ]
 
 

@@ -173,11 +173,14 @@ class Player:
         self._way = Way(play.faults)
         self._told: list[dict[str, Any]] = []
         scenario = world.scenario
-        self._announcements: list[Announcement] = list(
-            warned(scenario)
-            if play.beliefs and scenario.warnings
-            else announcements(scenario, play.notice_h)
-        )
+        self._announcements: list[Announcement] = [
+            *(
+                warned(scenario)
+                if play.beliefs and scenario.warnings
+                else announcements(scenario, play.notice_h)
+            ),
+            *reports(scenario, play.notice_h),
+        ]
 
     def play(self, progress: Progress | None = None) -> Tally:
         """From the scenario's first step to its last."""
@@ -354,3 +357,19 @@ def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]
         }
         told = times[start] - pd.Timedelta(hours=notice_h)
         yield Announcement(told, f"outage-{number}", body)
+
+
+def reports(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:
+    """When which fault of a line or bus is reported: as it begins, or before if it is known."""
+    for number, fault in enumerate(scenario.faults, start=1):
+        place = {"bus": fault.bus} if fault.line is None else {"line": fault.line}
+        body = {
+            "type": "fault",
+            "source": "simulation",
+            **{name: str(bus) for name, bus in place.items()},
+            "start": written(fault.start),
+            "end": written(fault.end),
+        }
+        begun = scenario.grid.begun(fault.start)
+        told = begun - pd.Timedelta(hours=notice_h) if fault.known else begun
+        yield Announcement(told, f"fault-{number}", body)

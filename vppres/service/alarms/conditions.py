@@ -15,8 +15,9 @@ from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
 from vppres.service.events.announced import announced_at
+from vppres.service.events.faults import FAULTS
 from vppres.service.of_kind import every
-from vppres.service.plans.document import points_at, refused_of
+from vppres.service.plans.document import DARK, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
 from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
@@ -108,6 +109,13 @@ class Situation:
         points = points_at(self.plan, self.now)
         return {one["asset"] for one in points if one.get("served") is False}
 
+    @property
+    def off_by_fault(self) -> dict[str, str]:
+        """Customers in parts of the feeder that a fault blacks out, and why."""
+        points = points_at(self.plan, self.now)
+        found = {one["asset"]: one["reason"] for one in points if one["reason"].startswith(DARK)}
+        return {name: why.removeprefix(DARK) for name, why in found.items()}
+
     def clock(self, time: str | pd.Timestamp) -> str:
         """Hours and minutes at the site."""
         return f"{pd.Timestamp(time).tz_convert(self.scenario.grid.zone):%H:%M}"
@@ -172,6 +180,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _grid_contradicted(now)
     yield from _grid_lost(now)
     yield from _off_with_grid(now)
+    yield from _lines_out(now)
     yield from _one_former_left(now)
     yield from _shed(now)
     yield from _critical_off(now)
@@ -242,7 +251,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         return
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: not known
-    off = sorted(now.off - set(now.failing))
+    off = sorted(now.off - set(now.failing) - now.off_by_fault.keys())
     if not off:
         return
     words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
@@ -253,6 +262,25 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         words += f", by the operator's mode {plan['status']}"
     priority = HIGH if now.critical.intersection(off) else MEDIUM
     yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
+
+
+def _lines_out(now: Situation) -> Iterator[Condition]:
+    """Lines and buses that are out of service, and the customers that are off for it."""
+    if now.ahead_s <= 0.0:
+        return
+    off = now.off_by_fault
+    for one in now.plan.get(FAULTS, ()):
+        end = one["end"]
+        if not one["out"] or (end and pd.Timestamp(end) <= now.now):
+            continue
+        until = f"until {now.clock(end)}" if end else "and its end is not known"
+        words = f"{one['name']} is out of service, {until}"
+        cut = sorted(name for name, why in off.items() if any(each in why for each in one["cuts"]))
+        if cut:
+            words += f"; {named(cut, NAMES_SHOWN)} off supply: {off[cut[0]]}"
+        high = now.critical.intersection(cut)
+        text = f"{words[0].upper()}{words[1:]}."
+        yield Condition("line_out", one["name"], HIGH if high else MEDIUM, text, tuple(cut))
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
@@ -293,6 +321,8 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
         if now.why_dark:
             words += f": {now.why_dark}"
+        elif off[0] in now.off_by_fault:
+            words += f": {now.off_by_fault[off[0]]}"
         elif late:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(off))

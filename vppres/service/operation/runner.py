@@ -25,6 +25,7 @@ from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.live.profile import ClockProfile
+from vppres.scenario.faults import LineFault
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms.conditions import BY_HAND, Situation, conditions, situation
@@ -33,6 +34,7 @@ from vppres.service.alarms.state import Alarms
 from vppres.service.as_told import expected_by
 from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.events.announced import warnings
+from vppres.service.events.faults import FAULTS, faults_at, told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.by_hand import ByHand
 from vppres.service.plans.document import (
@@ -291,7 +293,7 @@ class Runner:
             pv_kw=np.minimum(measured.laid("pv_kw", step.pv.id, step.pv_kw), step.pv.p_max_kw),
             grid_limit_kw=np.array([0.0 if found.is_dark else known_kw]),
         )
-        step = told_by_plans(step, [found.plan])
+        step = replace(told_by_plans(step, [found.plan]), faults=self.faults(now))
         return ByHand(asked, step, found, self.options).words()
 
     def situation(self, now: pd.Timestamp) -> Situation:
@@ -466,6 +468,8 @@ class Runner:
         plan = {**plan, "generated_at": written(self.clock.now())}
         if self._within:
             plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
+        if faults := self.faults(self._moment(time)):
+            plan[FAULTS] = told(faults, self.scenario.network, self.length, time)
         if not known:
             self.store.write_step(time, plan, asked=asked)
             return plan
@@ -563,7 +567,7 @@ class Runner:
         self, time: pd.Timestamp, known: StepInputs | None, error: Exception
     ) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
-        now = self._profile_of(time)
+        now = replace(self._profile_of(time), faults=self.faults(self._moment(time)))
         left = self._left(time, known.grid if known else None)
         soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
         if known:
@@ -662,6 +666,11 @@ class Runner:
             if missing > 0:
                 self._controller.extend(self.profile.steps(end, missing))
         self._controller.warn(*self.warnings(time), replacing=True)
+        self._controller.report(*self.faults(self._moment(time)), replacing=True)
+
+    def faults(self, now: pd.Timestamp) -> tuple[LineFault, ...]:
+        """Faults of lines and buses that are known and not over."""
+        return faults_at(self.store.events().values(), self.scenario, now)
 
     def warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
         """Messages of outages: those of events, and the scenario's own where it is rehearsed."""

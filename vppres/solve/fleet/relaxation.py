@@ -22,7 +22,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING, SAME, cost_scale, objective_scale
-from vppres.model.sections import at_items
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
@@ -325,8 +325,7 @@ class FleetProblem(Selected):
             unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
         )
         able = fleet.able(data)
-        if data.sections is not None:
-            connected = connected & ~at_items(data.sections.beyond, fleet.site.customer_bus)
+        connected = connected & ~at_items(data.parts.beyond, fleet.site.customer_bus)
         self.limits = {
             **limits,
             "service_max": able,
