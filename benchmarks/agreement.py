@@ -40,7 +40,7 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method says of a window: its error where it has none, ``inf`` where nothing is said."""
+    """A method's answer to a window: its error where it has none, ``inf`` where nothing is said."""
 
     ended: str  #: status, or name of the error
     #: Objective and bound on it.

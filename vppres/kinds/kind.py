@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes
-from vppres.core.by_step import ByStep
+from vppres.core.arrays import ByStep, Flags, Floats, Items, Names, Wholes
 from vppres.core.errors import InputError, Problem
 
 

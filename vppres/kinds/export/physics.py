@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Floats, Wholes, freeze_arrays
-from vppres.core.by_step import ByStep
+from vppres.core.arrays import ByStep, Floats, Wholes, freeze_arrays
 from vppres.scenario.scenario import Scenario
 
 CIRCLE_KW = 1e-4
