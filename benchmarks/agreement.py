@@ -40,22 +40,13 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method says of a window: its error where it has none, ``inf`` where nothing is said.
+    """A method's answer to a window: its error where it has none, ``inf`` where nothing is said."""
 
-    Parameters
-    ----------
-    ended : str
-        Status, or name of the error.
-    value, bound : float
-        Objective and bound on it.
-    seconds : float
-        Of the processor, without compiling.
-    """
-
-    ended: str
+    ended: str  #: status, or name of the error
+    #: Objective and bound on it.
     value: float
     bound: float
-    seconds: float
+    seconds: float  #: of the processor, without compiling
 
 
 def small_windows(count: int, first: int) -> Iterator[Runner]:

@@ -21,32 +21,17 @@ GROUP = "hard"
 
 @dataclass(frozen=True)
 class HardInstance:
-    """One window of a random day.
+    """One window of a random day."""
 
-    Parameters
-    ----------
-    name : str
-        Unique name.
-    kind : str
-        Trait of the day, a name in :data:`benchmarks.hard_days.TRAITS`.
-    seed : int
-        Makes day and window again.
-    t0, steps, buses : int
-        First step and number of steps, and size of the feeder: what the seed must make.
-    before_s : float
-        Seconds of a processor that it took when it was chosen, compiling included.
-    before : str
-        How it ended then, at a limit of 10 s.
-    """
-
-    name: str
-    kind: str
-    seed: int
+    name: str  #: unique name
+    kind: str  #: trait of the day, a name in :data:`benchmarks.hard_days.TRAITS`
+    seed: int  #: makes day and window again
+    #: First step and number of steps, and size of the feeder: what the seed must make.
     t0: int
     steps: int
     buses: int
-    before_s: float
-    before: str
+    before_s: float  #: seconds of a processor that it took when it was chosen, compiling included
+    before: str  #: how it ended then, at a limit of 10 s
 
     group = GROUP
 

@@ -62,27 +62,13 @@ SITE_KW = {True: (2.0, 12.0), False: (20.0, 200.0)}
 
 @dataclass(frozen=True, eq=False)
 class HardDay:
-    """A day to run.
+    """A day to run."""
 
-    Parameters
-    ----------
-    kind : str
-        The trait that all days of the kind have.
-    seed : int
-        Makes the same day again.
-    traits : frozenset of str
-        All that it has.
-    scenario : Scenario
-        The actual day; mode and switching rules are the scenario's own.
-    errors : ForecastErrors
-        Sizes of its forecast errors, zero in every other day.
-    """
-
-    kind: str
-    seed: int
-    traits: frozenset[str]
-    scenario: Scenario
-    errors: ForecastErrors
+    kind: str  #: the trait that all days of the kind have
+    seed: int  #: makes the same day again
+    traits: frozenset[str]  #: all that it has
+    scenario: Scenario  #: the actual day; mode and switching rules are the scenario's own
+    errors: ForecastErrors  #: sizes of its forecast errors, zero in every other day
 
     @property
     def rules(self) -> SwitchingRules:
@@ -336,25 +322,14 @@ def _network(
 
 @dataclass(frozen=True, eq=False)
 class HardWindow:
-    """A window of a day of a kind, in a random state.
+    """A window of a day of a kind, in a random state."""
 
-    Parameters
-    ----------
-    day : HardDay
-        The day.
-    t0, steps : int
-        First step and number of steps.
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window, as its controller would see it.
-    """
-
-    day: HardDay
+    day: HardDay  #: the day
+    #: First step and number of steps.
     t0: int
     steps: int
-    site: Site
-    data: WindowData
+    site: Site  #: fixed data
+    data: WindowData  #: the window, as its controller would see it
 
 
 HORIZONS_H = (5, 5, 5, 11)

@@ -30,45 +30,28 @@ PLACES = ("before", "across", "inside", "after")
 
 @dataclass(frozen=True)
 class Instance:
-    """One window of the packaged scenario.
+    """One window of the packaged scenario."""
 
-    Parameters
-    ----------
-    name : str
-        Unique name.
-    group : {"ordinary", "stressed"}
-        Stressed: more load than the voltages allow, or more sun than anybody can use.
-    t0, steps : int
-        First step and number of steps.
-    soc_low, soc_high : float
-        Range of the batteries' states of charge, drawn uniformly.
-    soc_seed : int
-        Seed of that draw.
-    load_factor, pv_factor : float
-        Multiples of the packaged series.
-    load_bias, load_alpha_per_h, pv_bias, pv_alpha_per_h : float
-        Forecast errors, as in :class:`vppres.contract.forecast.ForecastErrors`.
-    error_seed : int
-        Seed of the random forecast errors.
-    offset : int
-        1 takes the voltages' offset from the AC power flow of the step before, with everybody
-        served and the batteries idle; 0 is plain LinDistFlow.
-    """
-
-    name: str
-    group: str
+    name: str  #: unique name
+    group: str  #: stressed: more load than the voltages allow, or more sun than anybody can use
+    #: First step and number of steps.
     t0: int
     steps: int
+    #: Range of the batteries' states of charge, drawn uniformly.
     soc_low: float
     soc_high: float
-    soc_seed: int
+    soc_seed: int  #: seed of that draw
+    #: Multiples of the packaged series.
     load_factor: float
     pv_factor: float
+    #: Forecast errors, as in :class:`vppres.contract.forecast.ForecastErrors`.
     load_bias: float
     load_alpha_per_h: float
     pv_bias: float
     pv_alpha_per_h: float
-    error_seed: int
+    error_seed: int  #: seed of the random forecast errors
+    #: 1 takes the voltages' offset from the AC power flow of the step before, with everybody served
+    #: and the batteries idle; 0 is plain LinDistFlow.
     offset: int
 
     @cached_property

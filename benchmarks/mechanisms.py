@@ -19,21 +19,12 @@ SOLVE = "vppres.solve."
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Something that can be left out.
+    """Something that can be left out."""
 
-    Attributes
-    ----------
-    name : str
-        Of the line in the table.
-    switches : mapping
-        What replaces an attribute, by its name below the package of the solver.
-    code : sequence of str
-        Names of the sources that nothing else needs.
-    """
-
-    name: str
+    name: str  #: of the line in the table
+    #: What replaces an attribute, by its name below the package of the solver.
     switches: Mapping[str, Any]
-    code: Sequence[str] = ()
+    code: Sequence[str] = ()  #: names of the sources that nothing else needs
 
 
 def no(*_: object) -> bool:

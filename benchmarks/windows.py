@@ -34,25 +34,15 @@ LONG_WINDOW_STEPS = 6
 
 @dataclass(frozen=True)
 class Method:
-    """One way to solve a window.
+    """One way to solve a window."""
 
-    Parameters
-    ----------
-    approach : {"decomposed", "monolithic"}
-        The package's default method with all its levels, or one solve of the whole problem.
-    solver : str
-        Name in the package's table of solvers.
-    sides : int
-        Sides of the inverters' polygons in a monolithic solve; 0 is cones. The decomposed method
-        always answers with true discs.
-    max_steps : int
-        Longest window that it is tried on.
-    """
-
+    #: The package's default method with all its levels, or one solve of the whole problem.
     approach: str
-    solver: str
+    solver: str  #: name in the package's table of solvers
+    #: Sides of the inverters' polygons in a monolithic solve; 0 is cones. The decomposed method
+    #: always answers with true discs.
     sides: int = 0
-    max_steps: int = 24
+    max_steps: int = 24  #: longest window that it is tried on
 
     @property
     def label(self) -> str:

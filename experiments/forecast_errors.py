@@ -42,20 +42,11 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Point:
-    """Days of one controller at one error level.
+    """Days of one controller at one error level."""
 
-    Parameters
-    ----------
-    level : float
-        Bias, or growth of the standard deviation per hour.
-    days : sequence of DayResult
-        The packaged day, once for each seed of the errors.
-    drawings : sequence of DayResult
-        The packaged day and further drawings of the unpublished data, one seed of errors each.
-    """
-
-    level: float
-    days: Sequence[DayResult]
+    level: float  #: bias, or growth of the standard deviation per hour
+    days: Sequence[DayResult]  #: the packaged day, once for each seed of the errors
+    #: The packaged day and further drawings of the unpublished data, one seed of errors each.
     drawings: Sequence[DayResult]
 
     def mean(self, quantity: Quantity) -> float:

@@ -26,45 +26,24 @@ WEIGHTED = tuple(
 
 @dataclass(frozen=True)
 class Day:
-    """Arguments of the builder of the paper's day; the defaults are the packaged scenario.
+    """Arguments of the builder of the paper's day; the defaults are the packaged scenario."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the per-bus data that the paper does not publish.
-    critical_share : float
-        Share of the load that the critical customers have.
-    price : {"A", "B"}
-        Rebuild of the price.
-    outage_steps : int
-        Hours without grid from 12:00 on.
-    zone_pairing : tuple of int
-        Which thermal capacity goes with which thermal resistance.
-    """
-
-    seed: int = builder.SEED
+    seed: int = builder.SEED  #: seed of the per-bus data that the paper does not publish
+    #: Share of the load that the critical customers have.
     critical_share: float = builder.CRITICAL_SHARE
-    price: str = "B"
-    outage_steps: int = 6
+    price: str = "B"  #: rebuild of the price
+    outage_steps: int = 6  #: hours without grid from 12:00 on
+    #: Which thermal capacity goes with which thermal resistance.
     zone_pairing: tuple[int, ...] = builder.ZONE_PAIRING
 
 
 @dataclass(frozen=True)
 class Job:
-    """A day and the options of its run.
+    """A day and the options of its run."""
 
-    Parameters
-    ----------
-    day : Day
-        Which day.
-    options : RunOptions
-        How it is run.
-    weighted : WeightedChoices, optional
-        Choices of one weighted solve of each window; as the options say if not given.
-    """
-
-    day: Day = field(default_factory=Day)
-    options: RunOptions = field(default_factory=RunOptions)
+    day: Day = field(default_factory=Day)  #: which day
+    options: RunOptions = field(default_factory=RunOptions)  #: how it is run
+    #: Choices of one weighted solve of each window; as the options say if not given.
     weighted: WeightedChoices | None = None
 
     def digest(self) -> str:

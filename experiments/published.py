@@ -11,31 +11,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Statement:
-    """One published statement.
+    """One published statement."""
 
-    Parameters
-    ----------
-    id : str
-        R1 to R24; a letter tells the parts of a statement apart.
-    where : str
-        Place in the paper.
-    quantity : str
-        What is stated.
-    published : str
-        The paper's value as printed, or its words in short.
-    low, high : float, optional
-        Ends of the published range.
-    tolerance : float
-        How far outside the range ours may lie.
-    """
-
-    id: str
-    where: str
-    quantity: str
-    published: str
+    id: str  #: R1 to R24; a letter tells the parts of a statement apart
+    where: str  #: place in the paper
+    quantity: str  #: what is stated
+    published: str  #: the paper's value as printed, or its words in short
+    #: Ends of the published range.
     low: float | None = None
     high: float | None = None
-    tolerance: float = 0.0
+    tolerance: float = 0.0  #: how far outside the range ours may lie
 
     def difference(self, ours: float) -> float:
         """Signed distance of a value to the published range, zero inside."""

@@ -37,25 +37,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Effort:
-    """What the run took.
+    """What the run took."""
 
-    Parameters
-    ----------
-    days, computed : int
-        Simulated days in all, and those that were not in the cache.
-    wall_s : float
-        Wall time of this run in s.
-    day_s : float
-        Time for decisions of all days together in s, cached ones included.
-    processes : int
-        How many ran at a time.
-    """
-
+    #: Simulated days in all, and those that were not in the cache.
     days: int
     computed: int
-    wall_s: float
-    day_s: float
-    processes: int
+    wall_s: float  #: wall time of this run in s
+    day_s: float  #: time for decisions of all days together in s, cached ones included
+    processes: int  #: how many ran at a time
 
     def text(self) -> str:
         """The effort in a sentence."""

@@ -14,22 +14,14 @@ from vppres.core.arrays import Floats
 
 @dataclass(frozen=True)
 class DayResult:
-    """A simulated day in short.
+    """A simulated day in short."""
 
-    Parameters
-    ----------
-    summary : mapping
-        The figures of :func:`vppres.day.metrics.summarise`.
-    steps : mapping of str to list
-        One value per step and quantity; ``energy_kwh`` has one more, the end of the day.
-    planned : mapping of str to list
-        Of a full-horizon plan, like ``steps``: ``energy_kwh``, ``p_grid_kw``,
-        ``served_forecast_kw`` and ``served_actual_kw``, the demand of the customers whom the plan
-        serves as it was forecast and as it came. Empty without a plan.
-    """
-
-    summary: Mapping[str, Any]
+    summary: Mapping[str, Any]  #: the figures of :func:`vppres.day.metrics.summarise`
+    #: One value per step and quantity; ``energy_kwh`` has one more, the end of the day.
     steps: Mapping[str, list[Any]]
+    #: Of a full-horizon plan, like ``steps``: ``energy_kwh``, ``p_grid_kw``, ``served_forecast_kw``
+    #: and ``served_actual_kw``, the demand of the customers whom the plan serves as it was forecast
+    #: and as it came. Empty without a plan.
     planned: Mapping[str, list[float]]
 
     @property

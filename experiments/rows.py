@@ -15,28 +15,18 @@ Reason = str | Callable[[], str]
 
 @dataclass(frozen=True)
 class Row:
-    """One statement beside what was found.
+    """One statement beside what was found."""
 
-    Parameters
-    ----------
-    id, quantity, published : str
-        As in :mod:`experiments.published`; the quantity may name a case in addition.
-    ours, difference, tolerance : str
-        What was found, how far it lies outside of the published range, and how far it may.
-    holds : bool
-        Whether it is within tolerance, or the assertion holds.
-    reason : str
-        The measured reason where it is not; empty otherwise.
-    """
-
+    #: As in :mod:`experiments.published`; the quantity may name a case in addition.
     id: str
     quantity: str
     published: str
+    #: What was found, how far it lies outside of the published range, and how far it may.
     ours: str
     difference: str
     tolerance: str
-    holds: bool
-    reason: str = ""
+    holds: bool  #: whether it is within tolerance, or the assertion holds
+    reason: str = ""  #: the measured reason where it is not; empty otherwise
 
     @property
     def verdict(self) -> str:

@@ -34,19 +34,12 @@ CASES: Mapping[str, Job] = {MPC: Job(), FULL: Job(options=RunOptions(controller=
 
 @dataclass(frozen=True)
 class Variation:
-    """One variation of the packaged day.
+    """One variation of the packaged day."""
 
-    Parameters
-    ----------
-    group, value : str
-        What is varied, and to what.
-    jobs : mapping of str to Job
-        By controller.
-    """
-
+    #: What is varied, and to what.
     group: str
     value: str
-    jobs: Mapping[str, Job]
+    jobs: Mapping[str, Job]  #: by controller
 
 
 @dataclass(frozen=True)

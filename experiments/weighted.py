@@ -33,21 +33,12 @@ ANY_GAP = float(np.finfo(float).max)
 
 @dataclass(frozen=True)
 class WeightedChoices:
-    """What a user of a solver chooses besides gap and time limit.
+    """What a user of a solver chooses besides gap and time limit."""
 
-    Parameters
-    ----------
-    unit_kw : float
-        Unit of power in the model in kW: 1, 1000 for MW, the base power for per unit.
-    tolerance : float
-        Optimality tolerance: reduced costs below it count as zero.
-    seed : int
-        Seed of the solver's own random choices.
-    """
-
+    #: Unit of power in the model in kW: 1, 1000 for MW, the base power for per unit.
     unit_kw: float = 1.0
-    tolerance: float = 1e-7
-    seed: int = 0
+    tolerance: float = 1e-7  #: optimality tolerance: reduced costs below it count as zero
+    seed: int = 0  #: seed of the solver's own random choices
 
 
 def _highs(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, Any]:

@@ -56,22 +56,15 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class Alarms:
-    """Steps of one quantity, by whether its readings were right and an alarm was raised.
+    """Steps of one quantity, by whether its readings were right and an alarm was raised."""
 
-    Parameters
-    ----------
-    right, false : int
-        Steps with true readings, and those of them with an alarm.
-    wrong, missed : int
-        Steps with frozen readings that are no longer true, and those of them without an alarm.
-    material, material_missed : int
-        The same, with readings that are off by more than ``MATERIAL``.
-    """
-
+    #: Steps with true readings, and those of them with an alarm.
     right: int = 0
     false: int = 0
+    #: Steps with frozen readings that are no longer true, and those of them without an alarm.
     wrong: int = 0
     missed: int = 0
+    #: The same, with readings that are off by more than ``MATERIAL``.
     material: int = 0
     material_missed: int = 0
 

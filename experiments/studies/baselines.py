@@ -43,35 +43,19 @@ TABLE_WIDTH = 120
 
 @dataclass(frozen=True)
 class Run:
-    """What a controller made of a day.
+    """What a controller made of a day."""
 
-    Parameters
-    ----------
-    seed : int
-        The day, the same for every controller.
-    controller : str
-        Who decided.
-    resilience, cost_gbp : float
-        Of the day as it happened.
-    critical_share : float
-        Share of critical customers served in the outage.
-    resilience_gap : float
-        What the certificates leave open of a plan's service in the outage, as resilience; NaN
-        where nothing was proven.
-    fallbacks : int
-        Steps with a fallback.
-    process_s : float
-        Processor time.
-    """
-
-    seed: int
-    controller: str
+    seed: int  #: the day, the same for every controller
+    controller: str  #: who decided
+    #: Of the day as it happened.
     resilience: float
     cost_gbp: float
-    critical_share: float
+    critical_share: float  #: share of critical customers served in the outage
+    #: What the certificates leave open of a plan's service in the outage, as resilience; NaN where
+    #: nothing was proven.
     resilience_gap: float
-    fallbacks: int
-    process_s: float
+    fallbacks: int  #: steps with a fallback
+    process_s: float  #: processor time
 
 
 def errors_of(seed: int) -> ForecastErrors:

@@ -59,50 +59,24 @@ class StepToJudge:
 
 @dataclass(frozen=True)
 class DayOutcome:
-    """What became of a day.
+    """What became of a day."""
 
-    Parameters
-    ----------
-    seed : int
-        Makes the day and its faults again.
-    scenario : str
-        Its name.
-    steps : int
-        Steps that were finished.
-    error : str
-        What ended the day early, empty if nothing did.
-    resilience : float or None
-        Of the finished day.
-    fallbacks : dict
-        Steps by kind of fallback.
-    faults : dict
-        Steps, measurements and batteries with faults.
-    estimated, ac_failures, unnamed : int
-        Steps with estimates; without AC solution; with a fallback that has no reason.
-    judged : int
-        Steps in which a critical customer was shed.
-    violations : list of str
-        Those of them in which the one-step problem serves more critical customers.
-    process_s : float
-        Processor time of the day, the judging left out.
-    alarms : dict
-        Alarms of frozen readings, by quantity.
-    """
-
-    seed: int
-    scenario: str
-    steps: int
-    error: str
-    resilience: float | None
-    fallbacks: dict[str, int]
-    faults: dict[str, int]
+    seed: int  #: makes the day and its faults again
+    scenario: str  #: its name
+    steps: int  #: steps that were finished
+    error: str  #: what ended the day early, empty if nothing did
+    resilience: float | None  #: of the finished day
+    fallbacks: dict[str, int]  #: steps by kind of fallback
+    faults: dict[str, int]  #: steps, measurements and batteries with faults
+    #: Steps with estimates; without AC solution; with a fallback that has no reason.
     estimated: int
     ac_failures: int
     unnamed: int
-    judged: int
+    judged: int  #: steps in which a critical customer was shed
+    #: Those of them in which the one-step problem serves more critical customers.
     violations: list[str]
-    process_s: float
-    alarms: dict[str, Alarms]
+    process_s: float  #: processor time of the day, the judging left out
+    alarms: dict[str, Alarms]  #: alarms of frozen readings, by quantity
 
 
 def run_one(seed: int) -> DayOutcome:

@@ -49,24 +49,12 @@ START_S = 120.0
 
 @dataclass(frozen=True)
 class Pass:
-    """Some days at one place.
+    """Some days at one place."""
 
-    Parameters
-    ----------
-    digests : dict
-        Of all tables of a day, by its seed.
-    wall_s : float
-        From the first job to the last result.
-    cpu_s : float
-        Time of a processor of all processes together, scheduler and command included.
-    lost : int
-        Days without a result.
-    """
-
-    digests: dict[int, str]
-    wall_s: float
-    cpu_s: float
-    lost: int
+    digests: dict[int, str]  #: of all tables of a day, by its seed
+    wall_s: float  #: from the first job to the last result
+    cpu_s: float  #: time of a processor of all processes together, scheduler and command included
+    lost: int  #: days without a result
 
     def and_then(self, other: Pass) -> Pass:
         """Both together."""

@@ -44,37 +44,18 @@ RULES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Week:
-    """What came of a week with a rule.
+    """What came of a week with a rule."""
 
-    Parameters
-    ----------
-    rule : str
-        Name of the rule.
-    week : int
-        Seed of the week.
-    outage_h : float
-        Hours without grid.
-    resilience : float
-        R of the week.
-    longest_h, gini : dict of str to float
-        By tier, hours of the customer that was off longest, and the Gini coefficient.
-    inversions : int
-        Customers and hours off while a lower tier took what they needed.
-    relaxed : int
-        Steps in which a minimum could not be kept.
-    fallbacks : int
-        Steps that a fallback decided.
-    """
-
-    rule: str
-    week: int
-    outage_h: float
-    resilience: float
+    rule: str  #: name of the rule
+    week: int  #: seed of the week
+    outage_h: float  #: hours without grid
+    resilience: float  #: R of the week
+    #: By tier, hours of the customer that was off longest, and the Gini coefficient.
     longest_h: dict[str, float]
     gini: dict[str, float]
-    inversions: int
-    relaxed: int
-    fallbacks: int
+    inversions: int  #: customers and hours off while a lower tier took what they needed
+    relaxed: int  #: steps in which a minimum could not be kept
+    fallbacks: int  #: steps that a fallback decided
 
 
 def week_of(day: Scenario, week: int) -> Scenario:

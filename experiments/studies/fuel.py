@@ -62,36 +62,16 @@ class CountedFuel(OutageView):
 
 @dataclass(frozen=True)
 class Run:
-    """What a policy made of a day.
+    """What a policy made of a day."""
 
-    Parameters
-    ----------
-    seed : int
-        The day, the same for every policy.
-    policy : str
-        Of :data:`POLICIES`.
-    resilience : float
-        R.
-    critical_lost_h : float
-        Hours of critical customers without supply.
-    left_litres : float
-        Fuel at the end of the day.
-    missed_kwh : float
-        What vehicles lacked when they left.
-    gap_max : float
-        Largest relative gap of a window.
-    fallbacks : int
-        Steps with a fallback.
-    """
-
-    seed: int
-    policy: str
-    resilience: float
-    critical_lost_h: float
-    left_litres: float
-    missed_kwh: float
-    gap_max: float
-    fallbacks: int
+    seed: int  #: the day, the same for every policy
+    policy: str  #: of :data:`POLICIES`
+    resilience: float  #: R
+    critical_lost_h: float  #: hours of critical customers without supply
+    left_litres: float  #: fuel at the end of the day
+    missed_kwh: float  #: what vehicles lacked when they left
+    gap_max: float  #: largest relative gap of a window
+    fallbacks: int  #: steps with a fallback
 
 
 @cache

@@ -48,34 +48,17 @@ HOURS = 30
 
 @dataclass(frozen=True)
 class Run:
-    """What a forecaster led to on a day.
+    """What a forecaster led to on a day."""
 
-    Parameters
-    ----------
-    seed : int
-        The day, the same for every forecaster.
-    forecaster : str
-        Who forecast.
-    resilience, net_cost_gbp : float
-        Of the day as it happened.
-    critical_share : float
-        Share of critical customers served in the outage.
-    unserved_kwh : float
-        Demand that was not served in the outage.
-    fallbacks : int
-        Steps with a fallback.
-    process_s : float
-        Processor time.
-    """
-
-    seed: int
-    forecaster: str
+    seed: int  #: the day, the same for every forecaster
+    forecaster: str  #: who forecast
+    #: Of the day as it happened.
     resilience: float
     net_cost_gbp: float
-    critical_share: float
-    unserved_kwh: float
-    fallbacks: int
-    process_s: float
+    critical_share: float  #: share of critical customers served in the outage
+    unserved_kwh: float  #: demand that was not served in the outage
+    fallbacks: int  #: steps with a fallback
+    process_s: float  #: processor time
 
 
 def day_of(seed: int) -> Scenario:

@@ -35,29 +35,14 @@ PACKAGED = "uk-heatwave-2022"
 
 @dataclass(frozen=True)
 class Claims:
-    """Worst violation of each claim over a run; all but the last two must be zero.
+    """Worst violation of each claim over a run; all but the last two must be zero."""
 
-    Parameters
-    ----------
-    import_kw : float
-        Largest import in an island.
-    voltage_steps : int
-        Steps that claim AC voltages within the limits without it.
-    balance_kw : float
-        Largest difference of generation to served load and losses.
-    soc : float
-        Largest excess over the limits of the state of charge.
-    dark_served : int
-        Customers that count as served in the dark.
-    dark_steps, outside_steps : int
-        Steps in the dark, and lit steps outside the AC limits that say so.
-    """
-
-    import_kw: float
-    voltage_steps: int
-    balance_kw: float
-    soc: float
-    dark_served: int
+    import_kw: float  #: largest import in an island
+    voltage_steps: int  #: steps that claim AC voltages within the limits without it
+    balance_kw: float  #: largest difference of generation to served load and losses
+    soc: float  #: largest excess over the limits of the state of charge
+    dark_served: int  #: customers that count as served in the dark
+    #: Steps in the dark, and lit steps outside the AC limits that say so.
     dark_steps: int
     outside_steps: int
 

@@ -74,32 +74,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far a network came.
+    """How far a network came."""
 
-    Parameters
-    ----------
-    label : str
-        The network.
-    options : tuple of str
-        What it needed.
-    buses : int, optional
-        Buses of the feeder.
-    no_load_pu, as_given_pu, worst_hour_pu : float, optional
-        Largest differences of a voltage from the source's own power flow.
-    words : str
-        What came out: the share of the demand that was met, or why there is no run.
-    seconds : float
-        From import to report.
-    """
-
-    label: str
-    options: tuple[str, ...]
-    buses: int | None
+    label: str  #: the network
+    options: tuple[str, ...]  #: what it needed
+    buses: int | None  #: buses of the feeder
+    #: Largest differences of a voltage from the source's own power flow.
     no_load_pu: float | None
     as_given_pu: float | None
     worst_hour_pu: float | None
-    words: str
-    seconds: float
+    words: str  #: what came out: the share of the demand that was met, or why there is no run
+    seconds: float  #: from import to report
 
 
 def candidates(folder: Path) -> Iterator[Candidate]:

@@ -73,24 +73,13 @@ Value = Callable[[int], tuple[Floats, float]]
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A day without network: what it is worth to go from one energy to another in each step.
+    """A day without network: what it is worth to go from one energy to another in each step."""
 
-    Parameters
-    ----------
-    ahead : Ahead
-        Demand, PV and prices.
-    fleet : Fleet
-        The battery.
-    energy_kwh : array, shape (n,)
-        Energies.
-    out, service, cost_gbp : array, shape (T, n, n)
-        By the energy before and behind a step: service less curtailment, and service, in an outage;
-        cost with grid. Minus infinity, or infinity, for what the battery cannot do.
-    """
-
-    ahead: Ahead
-    fleet: EquivalentBattery
-    energy_kwh: Floats
+    ahead: Ahead  #: demand, PV and prices
+    fleet: EquivalentBattery  #: the battery
+    energy_kwh: Floats  #: energies, (n,)
+    #: By the energy before and behind a step, (T, n, n): service less curtailment, and service, in
+    #: an outage; cost with grid. Minus infinity, or infinity, for what the battery cannot do.
     out: Floats
     service: Floats
     cost_gbp: Floats
@@ -170,17 +159,12 @@ class Rationing:
     """The best use of a battery in an outage that begins at a step after some messages.
 
     What it maximises is the expected share of service over the hours of the outage.
-
-    Parameters
-    ----------
-    behind : array, shape (J, M, n)
-        After ``j`` steps out, by the mean of the length's logarithm: what energies are worth.
-    hour : array, shape (J, M)
-        What an hour's service counts: the mean of one by the length.
     """
 
+    #: After ``j`` steps out, by the mean of the length's logarithm, (J, M, n): what energies are
+    #: worth.
     behind: Floats
-    hour: Floats
+    hour: Floats  #: what an hour's service counts, (J, M): the mean of one by the length
 
     def value(self, j: int, mean: float) -> Floats:
         """What energies are worth behind a step, in hours of service of that step, (n,)."""
@@ -290,28 +274,15 @@ def _reachable(plate: Plate, scenario: Scenario, hour: int) -> int:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a policy made of a day on the copper plate.
+    """What a policy made of a day on the copper plate."""
 
-    Parameters
-    ----------
-    seed : int
-        The day, the same for every policy.
-    kind, policy : str
-        What day it was, and what was known of outages.
-    hours : int
-        Hours without grid.
-    resilience : float or None
-        None on a day without outage.
-    cost_gbp : float or None
-        As in ``experiments.studies.uncertain``; None for the bound.
-    """
-
-    seed: int
+    seed: int  #: the day, the same for every policy
+    #: What day it was, and what was known of outages.
     kind: str
     policy: str
-    hours: int
-    resilience: float | None
-    cost_gbp: float | None
+    hours: int  #: hours without grid
+    resilience: float | None  #: none on a day without outage
+    cost_gbp: float | None  #: as in ``experiments.studies.uncertain``; None for the bound
 
 
 def ceiling_day(seed: int) -> list[Outcome]:

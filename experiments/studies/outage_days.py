@@ -31,44 +31,22 @@ HALF_WIDTH = 6.0**0.5
 
 @dataclass(frozen=True)
 class OutageClimate:
-    """How outages and their warnings come.
+    """How outages and their warnings come."""
 
-    Parameters
-    ----------
-    warned : float
-        Share of days with warnings of an outage around noon.
-    comes : float
-        Share of first warnings after which it comes.
-    hazard_per_h : float
-        Rate of outages that nobody foresees, at any time of any day.
-    onset_h, onset_std_h : float
-        Mean and standard deviation of an announced onset in hours after midnight.
-    duration_median_h, duration_sigma : float
-        Median, and standard deviation of the logarithm, of every duration.
-    lead_h : tuple of int
-        Least and largest lead time of the first warning.
-    onset_sign_std_h : float
-        Error of a sign of the onset for each hour ahead.
-    duration_sign : float
-        Error of a sign of the duration's logarithm before the outage.
-    restoration_sign : float
-        The same once the outage is there.
-    sign_of_coming : float
-        Distance, in standard deviations, between signs of an outage that comes and of a false
-        alarm.
-    """
-
-    warned: float = 0.9
-    comes: float = 0.74
-    hazard_per_h: float = 0.004
+    warned: float = 0.9  #: share of days with warnings of an outage around noon
+    comes: float = 0.74  #: share of first warnings after which it comes
+    hazard_per_h: float = 0.004  #: rate of outages that nobody foresees, at any time of any day
+    #: Mean and standard deviation of an announced onset in hours after midnight.
     onset_h: float = 12.0
     onset_std_h: float = 1.5
+    #: Median, and standard deviation of the logarithm, of every duration.
     duration_median_h: float = 4.0
     duration_sigma: float = 0.5
-    lead_h: tuple[int, int] = (2, 7)
-    onset_sign_std_h: float = 0.5
-    duration_sign: float = 1.5
-    restoration_sign: float = 1.0
+    lead_h: tuple[int, int] = (2, 7)  #: least and largest lead time of the first warning
+    onset_sign_std_h: float = 0.5  #: error of a sign of the onset for each hour ahead
+    duration_sign: float = 1.5  #: error of a sign of the duration's logarithm before the outage
+    restoration_sign: float = 1.0  #: the same once the outage is there
+    #: Distance, in standard deviations, between signs of an outage that comes and of a false alarm.
     sign_of_coming: float = 0.5
 
     @property
@@ -101,24 +79,12 @@ class Outage:
 
 @dataclass(frozen=True)
 class OutageDay:
-    """The truth of a day, and what was said of it.
+    """The truth of a day, and what was said of it."""
 
-    Parameters
-    ----------
-    expected : Outage or None
-        The outage of the warnings, whether it comes or not.
-    comes : bool
-        Whether it comes.
-    surprise : Outage or None
-        An outage that nobody foresaw.
-    warnings : tuple of OutageWarning
-        In the order of their times.
-    """
-
-    expected: Outage | None
-    comes: bool
-    surprise: Outage | None
-    warnings: tuple[OutageWarning, ...]
+    expected: Outage | None  #: the outage of the warnings, whether it comes or not
+    comes: bool  #: whether it comes
+    surprise: Outage | None  #: an outage that nobody foresaw
+    warnings: tuple[OutageWarning, ...]  #: in the order of their times
 
     @property
     def outages(self) -> list[Outage]:

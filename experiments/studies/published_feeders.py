@@ -89,39 +89,23 @@ FEEDERS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a feeder came in.
+    """How a feeder came in."""
 
-    Parameters
-    ----------
-    label : str
-        The feeder.
-    words : str
-        The options that it needed, or why it was refused.
-    buses : int, optional
-        Buses with supply.
-    apart_pu : float, optional
-        Largest difference of a node's voltage from OpenDSS's on the untouched file.
-    losses_kw, losses_source_kw : float, optional
-        With the source's impedance and all shunts.
-    loads, loads_source : int, optional
-        How many loads there are.
-    load_kw, load_source_kw : float, optional
-        Their nominal power.
-    seconds : float
-        Of processors, to import it.
-    """
-
-    label: str
-    words: str
-    buses: int | None = None
+    label: str  #: the feeder
+    words: str  #: the options that it needed, or why it was refused
+    buses: int | None = None  #: buses with supply
+    #: Largest difference of a node's voltage from OpenDSS's on the untouched file.
     apart_pu: float | None = None
+    #: With the source's impedance and all shunts.
     losses_kw: float | None = None
     losses_source_kw: float | None = None
+    #: How many loads there are.
     loads: int | None = None
     loads_source: int | None = None
+    #: Their nominal power.
     load_kw: float | None = None
     load_source_kw: float | None = None
-    seconds: float = 0.0
+    seconds: float = 0.0  #: of processors, to import it
 
 
 def itself(master: Path) -> Itself:

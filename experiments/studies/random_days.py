@@ -28,21 +28,11 @@ WEIGHT = {"critical": 1.0, "high": 0.1, "low": 0.02}
 
 @dataclass(frozen=True, eq=False)
 class RandomDay:
-    """A day to run.
+    """A day to run."""
 
-    Parameters
-    ----------
-    seed : int
-        Makes the same day again.
-    scenario : Scenario
-        The actual day.
-    errors : ForecastErrors
-        Sizes of its forecast errors.
-    """
-
-    seed: int
-    scenario: Scenario
-    errors: ForecastErrors
+    seed: int  #: makes the same day again
+    scenario: Scenario  #: the actual day
+    errors: ForecastErrors  #: sizes of its forecast errors
 
 
 def random_day(seed: int) -> RandomDay:

@@ -75,58 +75,35 @@ IMPOSSIBLE_VALUES = {"soc": 1.7, "load_kw": -5.0, "pv_kw": 1e6}
 
 @dataclass
 class LiveDay:
-    """What a day was like, and what is wrong with it.
+    """What a day was like, and what is wrong with it."""
 
-    Parameters
-    ----------
-    seed : int
-        Of its feeder.
-    day : int
-        Which one in a row.
-    plans, anew : int
-        Plans, and those of them that were made within a step.
-    lost, refused, rejected : int
-        Readings that never arrived and that the service did not take; set-points that devices
-        did not follow.
-    left, retained, twice : int
-        Devices that left, messages that a broker repeated, and changes of the grid that were
-        followed by another within the step.
-    outage_h : float
-        Without grid.
-    critical_off : int
-        Plans times customers of the first tier that they leave off.
-    avoidable : list of str
-        Those that need not have been off.
-    disbelieved : list of str
-        Readings above what a plan took for true while somebody of the first tier was off.
-    denied : list of str
-        Set-points of batteries beyond what a reading left them.
-    shed : list of str
-        Customers that a plan supplied and its island did not.
-    failed : list of str
-        Plans that were made by rule.
-    anew_s : list of float
-        CPU time of plans that were made anew, that of the solver included.
-    """
-
-    seed: int
-    day: int = 0
+    seed: int  #: of its feeder
+    day: int = 0  #: which one in a row
+    #: Plans, and those of them that were made within a step.
     plans: int = 0
     anew: int = 0
+    #: Readings that never arrived and that the service did not take; set-points that devices did
+    #: not follow.
     lost: int = 0
     refused: int = 0
     rejected: int = 0
+    #: Devices that left, messages that a broker repeated, and changes of the grid that were
+    #: followed by another within the step.
     left: int = 0
     retained: int = 0
     twice: int = 0
-    outage_h: float = 0.0
-    critical_off: int = 0
+    outage_h: float = 0.0  #: without grid
+    critical_off: int = 0  #: plans times customers of the first tier that they leave off
     served_off: int = 0
-    avoidable: list[str] = field(default_factory=list)
+    avoidable: list[str] = field(default_factory=list)  #: those that need not have been off
+    #: Readings above what a plan took for true while somebody of the first tier was off.
     disbelieved: list[str] = field(default_factory=list)
+    #: Set-points of batteries beyond what a reading left them.
     denied: list[str] = field(default_factory=list)
+    #: Customers that a plan supplied and its island did not.
     shed: list[str] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)  #: plans that were made by rule
+    #: CPU time of plans that were made anew, that of the solver included.
     anew_s: list[float] = field(default_factory=list)
 
     @property

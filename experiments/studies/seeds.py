@@ -52,18 +52,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Kept(Generic[T]):
-    """Finished days of a function, a JSON file each, by all that they depend on.
+    """Finished days of a function, a JSON file each, by all that they depend on."""
 
-    Parameters
-    ----------
-    run : callable
-        Makes a dataclass, or a list of some, of a seed; its annotation says which.
-    folder : Path
-        Where the files are.
-    """
-
+    #: Makes a dataclass, or a list of some, of a seed; its annotation says which.
     run: Callable[[int], T]
-    folder: Path
+    folder: Path  #: where the files are
 
     def get(self, seed: int) -> T | None:
         """What the function made of a seed, None if that is not known."""
@@ -138,24 +131,13 @@ def nothing(_: object) -> bool:
 
 @dataclass(frozen=True)
 class Study(Generic[T]):
-    """A study of many days: what it runs, what it writes, what must not be.
+    """A study of many days: what it runs, what it writes, what must not be."""
 
-    Parameters
-    ----------
-    run : callable
-        Runs the day of a seed.
-    write : callable
-        Writes the report of outcomes, of the seconds that they took, into a folder.
-    wrong : callable, optional
-        Whether an outcome holds something that must not be.
-    width : int
-        Least width of the report on a terminal.
-    """
-
-    run: Callable[[int], T]
+    run: Callable[[int], T]  #: runs the day of a seed
+    #: Writes the report of outcomes, of the seconds that they took, into a folder.
     write: Callable[[Sequence[T], float, Path], Path]
-    wrong: Callable[[T], Any] = nothing
-    width: int = 0
+    wrong: Callable[[T], Any] = nothing  #: whether an outcome holds something that must not be
+    width: int = 0  #: least width of the report on a terminal
 
     def play(self, span: Span, where: Where, results: Path) -> None:
         """Run the days, write and show the report; status 1 where something must not be."""

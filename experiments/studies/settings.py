@@ -34,24 +34,12 @@ SIGNS = {"load_bias": 1, "pv_bias": -1}
 
 @dataclass(frozen=True)
 class Setting:
-    """What a user of a solver chooses: nothing else differs between two settings.
+    """What a user of a solver chooses: nothing else differs between two settings."""
 
-    Parameters
-    ----------
-    unit_kw : float
-        Unit of power in the model in kW.
-    gap : float
-        Relative gap.
-    solver : str
-        Name in the table of solvers.
-    seed : int
-        The solver's.
-    """
-
-    unit_kw: float = 1.0
-    gap: float = 1e-4
-    solver: str = "highs"
-    seed: int = 0
+    unit_kw: float = 1.0  #: unit of power in the model in kW
+    gap: float = 1e-4  #: relative gap
+    solver: str = "highs"  #: name in the table of solvers
+    seed: int = 0  #: the solver's
 
     def __str__(self) -> str:
         units = {1.0: "kW", KW_PER_MW: "MW"}

@@ -30,19 +30,12 @@ OTHERS = 1e-4
 
 @dataclass(frozen=True)
 class Shed:
-    """Customers of the first tier that a plan leaves off.
+    """Customers of the first tier that a plan leaves off."""
 
-    Parameters
-    ----------
-    now, ahead : int
-        In the step, and customers times steps in those that it looks at behind it.
-    least : int
-        How many it would have to be in all of these steps together.
-    """
-
+    #: In the step, and customers times steps in those that it looks at behind it.
     now: int
     ahead: int
-    least: int
+    least: int  #: how many it would have to be in all of these steps together
 
     @property
     def avoidable(self) -> int:
@@ -52,17 +45,10 @@ class Shed:
 
 @dataclass
 class Judge:
-    """Looks at the plans of a service in this process.
+    """Looks at the plans of a service in this process."""
 
-    Parameters
-    ----------
-    runner : Runner
-        The service.
-    found : list of Shed
-        Steps in which somebody of the first tier is off.
-    """
-
-    runner: Runner
+    runner: Runner  #: the service
+    #: Steps in which somebody of the first tier is off.
     found: list[Shed] = field(default_factory=list)
 
     def __post_init__(self) -> None:

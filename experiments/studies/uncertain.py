@@ -110,42 +110,23 @@ TABLE_WIDTH = 120
 
 @dataclass(frozen=True)
 class Run:
-    """What a policy made of a day.
+    """What a policy made of a day."""
 
-    Parameters
-    ----------
-    seed : int
-        The day, the same for every policy.
-    kind : str
-        Whether its outage was announced, not announced, or a false alarm.
-    policy, wrong : str
-        What was known of outages, and what was wrong about it.
-    resilience : float or None
-        None on a day without outage.
-    cost_gbp : float
-        Of the import, less what it would cost at the day's lowest price to charge what the
-        batteries hold more than at the beginning.
-    critical_lost_h : float
-        Customer hours of critical customers without supply.
-    gap_max : float
-        Largest relative gap of a window.
-    uncertified, fallbacks : int
-        Windows that are not optimal, and steps with a fallback.
-    process_s : float
-        Processor time.
-    """
-
-    seed: int
-    kind: str
+    seed: int  #: the day, the same for every policy
+    kind: str  #: whether its outage was announced, not announced, or a false alarm
+    #: What was known of outages, and what was wrong about it.
     policy: str
     wrong: str
-    resilience: float | None
+    resilience: float | None  #: none on a day without outage
+    #: Of the import, less what it would cost at the day's lowest price to charge what the batteries
+    #: hold more than at the beginning.
     cost_gbp: float
-    critical_lost_h: float
-    gap_max: float
+    critical_lost_h: float  #: customer hours of critical customers without supply
+    gap_max: float  #: largest relative gap of a window
+    #: Windows that are not optimal, and steps with a fallback.
     uncertified: int
     fallbacks: int
-    process_s: float
+    process_s: float  #: processor time
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,22 +19,15 @@ GAP_REL = 1e-4
 
 @dataclass(frozen=True)
 class TermBesideGap:
-    """A term of the objective in its own unit.
+    """A term of the objective in its own unit."""
 
-    Parameters
-    ----------
-    name, unit : str
-        What it counts.
-    left_open : float
-        How much of it weighs as much as the gap; infinite for a term without weight.
-    whole : float
-        Most of it that a plan decides: what batteries can move of the cost by filling up in the
-        cheapest step and emptying in the dearest, and all of the others if everyone is served.
-    """
-
+    #: What it counts.
     name: str
     unit: str
+    #: How much of it weighs as much as the gap; infinite for a term without weight.
     left_open: float
+    #: Most of it that a plan decides: what batteries can move of the cost by filling up in the
+    #: cheapest step and emptying in the dearest, and all of the others if everyone is served.
     whole: float
 
     @property

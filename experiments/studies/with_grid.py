@@ -45,36 +45,20 @@ OFF = "Off with the grid on: "
 
 @dataclass(frozen=True)
 class Day:
-    """One random day of a network by one rule.
+    """One random day of a network by one rule."""
 
-    Parameters
-    ----------
-    label, seed, rule
-        Which day.
-    customers, off : int
-        How many there are, and how many were off in any step.
-    said : bool
-        Whether the first line of the run names those that were off.
-    v_min_pu : float
-        Lowest AC voltage.
-    loading : float, optional
-        Largest AC current as a share of a rating; None where no line has one.
-    fallbacks : int
-        Steps with a fallback.
-    solve_s : float
-        Time of all decisions.
-    """
-
+    #: Which day.
     label: str
     seed: int
     rule: str
+    #: How many there are, and how many were off in any step.
     customers: int
     off: int
-    said: bool
-    v_min_pu: float
-    loading: float | None
-    fallbacks: int
-    solve_s: float
+    said: bool  #: whether the first line of the run names those that were off
+    v_min_pu: float  #: lowest AC voltage
+    loading: float | None  #: largest AC current as a share of a rating; None where no line has one
+    fallbacks: int  #: steps with a fallback
+    solve_s: float  #: time of all decisions
 
 
 def feeder_of(candidate: Candidate) -> ImportedFeeder | None:

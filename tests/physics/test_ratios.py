@@ -13,12 +13,12 @@ from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import without_devices
 from tests.support.small_windows import CHECKER_TOLERANCE
+from vppres.control.guard.relax import widened
 from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.model.beyond_paper.losses import Sweeps
-from vppres.model.elastic import widened
 from vppres.model.linearise import drawn_by
 from vppres.model.site import Site
 from vppres.physics.nose import follow

@@ -22,14 +22,9 @@ def past_days_of(scenario: Scenario, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class KindsAhead:
-    """Window data of the units of each kind that the site has, over W steps.
+    """Window data of the units of each kind that the site has, over W steps."""
 
-    Parameters
-    ----------
-    by_kind : dict
-        Windows by kind, in the order of :data:`vppres.kinds.table.KINDS`.
-    """
-
+    #: Windows by kind, in the order of :data:`vppres.kinds.table.KINDS`.
     by_kind: dict[str, UnitsAhead] = field(default_factory=dict)
 
     @classmethod

@@ -48,29 +48,17 @@ class ForecastErrors:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Forecast of a window of W steps; the arrays are read-only.
+    """Forecast of a window of W steps; the arrays are read-only."""
 
-    Parameters
-    ----------
-    load_kw : array, shape (W, C)
-        Demand of each customer if served.
-    pv_kw : array, shape (W, P)
-        Available power of each PV system.
-    price_gbp_per_kwh, grid_limit_kw, temperature_c : array, shape (W,)
-        Import price, largest import, ambient temperature.
-    export : Export, optional
-        What the grid takes back, None where the connection imports only.
-    out : OutOfService
-        Lines and buses that are out, as far as it is known.
-    """
-
-    load_kw: Floats
-    pv_kw: Floats
+    load_kw: Floats  #: demand of each customer if served, (W, C)
+    pv_kw: Floats  #: available power of each PV system, (W, P)
+    #: Import price, largest import, ambient temperature, (W,).
     price_gbp_per_kwh: Floats
     grid_limit_kw: Floats
     temperature_c: Floats
+    #: What the grid takes back, None where the connection imports only.
     export: Export | None = None
-    out: OutOfService = field(kw_only=True)
+    out: OutOfService = field(kw_only=True)  #: lines and buses that are out, as far as it is known
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -11,18 +11,11 @@ from vppres.core.arrays import Floats
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Battery powers of the previous plan over the steps of a window.
+    """Battery powers of the previous plan over the steps of a window."""
 
-    Parameters
-    ----------
-    planned_kw : array, shape (W, B)
-        Charge less discharge; NaN in steps that the previous plan did not reach.
-    weight : float
-        What a move by a battery's rated power is worth, in kW of line losses.
-    """
-
+    #: Charge less discharge, (W, B); NaN in steps that the previous plan did not reach.
     planned_kw: Floats
-    weight: float
+    weight: float  #: what a move by a battery's rated power is worth, in kW of line losses
 
     @classmethod
     def of(cls, plan_kw: Floats, steps_ago: int, n_steps: int, weight: float) -> Moves:

@@ -17,128 +17,75 @@ from vppres.kinds.customer.physics import Owed, SwitchingData, SwitchingState
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Set-points of batteries from a time on, where it was not what was decided.
+    """Set-points of batteries from a time on, where it was not what was decided."""
 
-    Parameters
-    ----------
-    before_h : float
-        How long before now, in h.
-    battery_kw : array, shape (B,)
-        Charging power, negative to discharge.
-    """
-
-    before_h: float
-    battery_kw: Floats
+    before_h: float  #: how long before now, in h
+    battery_kw: Floats  #: charging power, negative to discharge, (B,)
 
 
 @dataclass(frozen=True, eq=False)
 class SupplyTurns:
-    """Customers whose turn it is to be on supply.
+    """Customers whose turn it is to be on supply."""
 
-    Parameters
-    ----------
-    due : array of bool, shape (W, C)
-        Who they are in each step of a window.
-    rank : array of int, shape (C,)
-        Position of every customer's tier, 0 for the most important.
-    """
-
-    due: Flags
-    rank: Wholes
+    due: Flags  #: who they are in each step of a window, (W, C)
+    rank: Wholes  #: position of every customer's tier, 0 for the most important, (C,)
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Forecasts and measurements at the beginning of a step, and no future truth.
+    """Forecasts and measurements at the beginning of a step, and no future truth."""
 
-    Parameters
-    ----------
-    t0 : int
-        The step to decide on.
-    forecast : Forecast
-        Forecast of the window; its first step is the actual one.
-    soc, eta_charge, eta_discharge : array, shape (B,)
-        Measured state of charge and efficiencies.
-    operating_point : OperatingPoint or None
-        Last AC operating point, None before the first.
-    switching : SwitchingState, optional
-        Switching rules and what was really served so far; None without rules.
-    moves : Moves, optional
-        The plan before, where the controller is to stay near it.
-    battery_kw : array, shape (B,), optional
-        Measured charging power of the step before, negative where discharged.
-    online : array of bool, shape (B,), optional
-        Batteries that report to be able to work; all if not given.
-    import_kw : float, optional
-        Measured import of the step before, losses included; in an island of the paper what its
-        balance lacks.
-    served : array of bool, shape (C,), optional
-        Who was really served in the step before; as decided if not given.
-    flexible_kw : float, optional
-        Measured power of vehicles, machines that cool or heat and generating sets together in the
-        step before, negative where they give.
-    flexible_off_kw : float
-        By how much that may be off, where it is what they were to take and no meter's.
-    terminal : Terminal, optional
-        What batteries are to hold at the end of the window, where nothing is known behind it.
-    stored_value : StoredValue, optional
-        What energy is worth behind the present step, where the steps behind it are believed and not
-        known. The window is then the present step alone.
-    ends : bool
-        Whether the run ends with the window, and its outages are known: nothing is kept behind it.
-    open_ended : bool
-        Whether outages in ``forecast`` may last longer or shorter than it says.
-    guessed : bool
-        Whether outages ahead in ``forecast`` are the likely ones and not known.
-    kept_on : array of bool, shape (n, C), optional
-        Customers that the first n steps must serve; none if not given.
-    turns : SupplyTurns, optional
-        Customers that are to be served in the window, if no higher tier loses by it.
-    outage_messages : str
-        Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
-        several speak of one.
-    elapsed_h : float
-        How much of the step is over, where it is decided anew; states are those of that moment.
-    soc_age_h : array, shape (B,), optional
-        How old the state of charge is; of now if not given.
-    owed : Owed, optional
-        What dimmed customers may still catch up; None if none does.
-    ahead : KindsAhead, optional
-        Vehicles, rooms and generating sets over the window; none if not given.
-    told : tuple of Told
-        Set-points of batteries since the last decision, where these differ from it.
-    profile_kw, profile_pv_kw : array, shape (C,) and (P,), optional
-        What the site's own series say of demand and PV power in this step; where not given, they
-        are those of ``forecast``.
-    """
-
-    t0: int
-    forecast: Forecast
+    t0: int  #: the step to decide on
+    forecast: Forecast  #: forecast of the window; its first step is the actual one
+    #: Measured state of charge and efficiencies, (B,).
     soc: Floats
     eta_charge: Floats
     eta_discharge: Floats
-    operating_point: OperatingPoint | None = None
+    operating_point: OperatingPoint | None = None  #: last AC operating point, None before the first
+    #: Switching rules and what was really served so far; None without rules.
     switching: SwitchingState | None = None
-    moves: Moves | None = None
+    moves: Moves | None = None  #: the plan before, where the controller is to stay near it
+    #: Measured charging power of the step before, negative where discharged, (B,).
     battery_kw: Floats | None = None
-    online: Flags | None = None
+    online: Flags | None = None  #: batteries that report to be able to work, (B,); all if not given
+    #: Measured import of the step before, losses included; in an island of the paper what its
+    #: balance lacks.
     import_kw: float | None = None
+    #: Who was really served in the step before, (C,); as decided if not given.
     served: Flags | None = None
+    #: What batteries are to hold at the end of the window, where nothing is known behind it.
     terminal: Terminal | None = None
+    #: What energy is worth behind the present step, where the steps behind it are believed and not
+    #: known. The window is then the present step alone.
     stored_value: StoredValue | None = None
+    #: Whether the run ends with the window, and its outages are known: nothing is kept behind it.
     ends: bool = False
+    #: Whether outages in ``forecast`` may last longer or shorter than it says.
     open_ended: bool = False
+    #: Whether outages ahead in ``forecast`` are the likely ones and not known.
     guessed: bool = False
+    #: Customers that the first n steps must serve, (n, C); none if not given.
     kept_on: Flags | None = None
+    #: Customers that are to be served in the window, if no higher tier loses by it.
     turns: SupplyTurns | None = None
+    #: Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
+    #: several speak of one.
     outage_messages: str = ""
+    #: How much of the step is over, where it is decided anew; states are those of that moment.
     elapsed_h: float = 0.0
-    soc_age_h: Floats | None = None
+    soc_age_h: Floats | None = None  #: how old the state of charge is, (B,); of now if not given
+    #: Set-points of batteries since the last decision, where these differ from it.
     told: tuple[Told, ...] = ()
-    owed: Owed | None = None
+    owed: Owed | None = None  #: what dimmed customers may still catch up; None if none does
+    #: Vehicles, rooms and generating sets over the window; none if not given.
     ahead: KindsAhead = field(default_factory=KindsAhead)
+    #: Measured power of vehicles, machines that cool or heat and generating sets together in the
+    #: step before, negative where they give.
     flexible_kw: float | None = None
+    #: By how much that may be off, where it is what they were to take and no meter's.
     flexible_off_kw: float = 0.0
+    #: What the site's own series say of demand and PV power in this step, (C,) and (P,); where not
+    #: given, they are those of ``forecast``.
     profile_kw: Floats | None = None
     profile_pv_kw: Floats | None = None
 

@@ -27,21 +27,6 @@ Ending = Literal["", "target", "value"]
 class StoredValue:
     """Service that stored energy can be expected to buy later, piecewise linear and concave.
 
-    Parameters
-    ----------
-    energy_kwh : array, shape (K + 1,)
-        Energy of all batteries and tanks together, rising.
-    service : array, shape (K + 1,)
-        What it is worth, in weighted customer hours, 0 where all are empty.
-    gbp_per_service : float
-        Value of lost load of a weighted customer hour.
-    as_service : bool
-        Whether it counts as service: in an outage, where energy is all that there is to spend.
-        Otherwise all customers are supplied, and it counts against the cost of energy.
-    kwh_each : dict
-        Energy in a battery that a unit of what each asset of a kind holds stands for, a litre of
-        fuel for example, (n,) by kind.
-
     Examples
     --------
     >>> worth = StoredValue([0.0, 10.0, 20.0], [0.0, 5.0, 6.0], 1000.0, as_service=True)
@@ -51,10 +36,15 @@ class StoredValue:
     100.0
     """
 
-    energy_kwh: Floats
+    energy_kwh: Floats  #: energy of all batteries and tanks together, rising, (K + 1,)
+    #: What it is worth, in weighted customer hours, 0 where all are empty, (K + 1,).
     service: Floats
-    gbp_per_service: float
+    gbp_per_service: float  #: value of lost load of a weighted customer hour
+    #: Whether it counts as service: in an outage, where energy is all that there is to spend.
+    #: Otherwise all customers are supplied, and it counts against the cost of energy.
     as_service: bool
+    #: Energy in a battery that a unit of what each asset of a kind holds stands for, a litre of
+    #: fuel for example, (n,) by kind.
     kwh_each: dict[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -27,21 +27,14 @@ LEAST_PRICE_GBP_PER_KWH = 0.01
 class Terminal:
     """State of charge at the end of a window, and what a missing kWh costs.
 
-    Parameters
-    ----------
-    soc : float
-        Share of each battery's capacity, or its own limit where that is nearer.
-    price_gbp_per_kwh : float
-        Price of each kWh that is missing.
-
     Examples
     --------
     >>> Terminal(0.5, 0.8).price_gbp_per_kwh
     0.8
     """
 
-    soc: float
-    price_gbp_per_kwh: float
+    soc: float  #: share of each battery's capacity, or its own limit where that is nearer
+    price_gbp_per_kwh: float  #: price of each kWh that is missing
 
     @classmethod
     def of(cls, soc: float | None, forecast: Forecast, ends: bool) -> Terminal | None:

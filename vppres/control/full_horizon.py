@@ -12,9 +12,10 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.terminal import Terminal
+from vppres.control.guard.check import worst_words
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Floats
 from vppres.kinds.batteries.physics import BatteriesAhead, power_beyond_kw
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -203,7 +204,7 @@ class FullHorizonController:
             # Reactive power gives way to active power in the inverter itself.
             through = actual.pv_kw - np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
             excess = through - site.pv.s_max_kva
-        return _worst("pv", site.pv.id, excess, POWER_TOLERANCE_KW, "kW")
+        return worst_words("pv", site.pv.id, excess - POWER_TOLERANCE_KW, excess, "kW")
 
 
 def _check_battery(site: Site, actual: _Actual) -> str:
@@ -211,10 +212,13 @@ def _check_battery(site: Site, actual: _Actual) -> str:
     b = site.batteries
     t, plan = actual.t, actual.plan
     beyond = power_beyond_kw(b, plan.charge_kw[t], plan.discharge_kw[t], plan.batt_q_kvar[t])
-    disc = _worst("battery inverter", b.id, beyond["inverter"], POWER_TOLERANCE_KW, "kVA")
+    over_kva = beyond["inverter"]
+    disc = worst_words("battery inverter", b.id, over_kva - POWER_TOLERANCE_KW, over_kva, "kVA")
     known = BatteriesAhead.of(b, actual.observation, site.dt_h)
     outside = np.maximum(*known.soc_beyond(known.after(actual.battery_kw)))
-    return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
+    return disc or worst_words(
+        "battery energy", b.id, outside - SOC_TOLERANCE, outside, "of capacity"
+    )
 
 
 def _check_grid(site: Site, actual: _Actual) -> str:
@@ -255,11 +259,3 @@ def _check_switching(site: Site, actual: _Actual) -> str:
         return ""
     first = site.customers.id[np.argmax(broken)]
     return f"switching rules: {broken.sum()} customers may not be switched as planned ({first})"
-
-
-def _worst(check: str, names: Names, excess: Floats, tolerance: float, unit: str) -> str:
-    """Text on the item with the largest excess, empty if all are within the tolerance."""
-    if len(excess) == 0 or excess.max() <= tolerance:
-        return ""
-    i = int(np.argmax(excess))
-    return f"{check}: {names[i]} by {excess[i]:.3g} {unit}"

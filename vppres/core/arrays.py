@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any, Self
 
@@ -82,6 +82,23 @@ class Items:
         """Some of the items."""
         items: Any = self
         return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(items)})
+
+
+@dataclass(frozen=True, eq=False)
+class ByStep:
+    """Fields of arrays with a row for each of W steps."""
+
+    def part(self, steps: slice) -> Self:
+        """The first steps of the window, by a slice."""
+        return type(self)(*(each[steps] for each in self._arrays()))
+
+    def followed_by_none(self, n_steps: int) -> Self:
+        """Append steps in which all is 0: nothing is there, or can be missed."""
+        rows = ((0, n_steps), (0, 0))
+        return type(self)(*(np.pad(each, rows[: each.ndim]) for each in self._arrays()))
+
+    def _arrays(self) -> list[Any]:
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 def no_items() -> NDArray[Any]:

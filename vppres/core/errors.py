@@ -20,23 +20,6 @@ _PACKAGE = f"{Path(__file__).parents[1]}{os.sep}"
 class Problem:
     """One mistake in the input: where it is, what is wrong, how to cure it.
 
-    Parameters
-    ----------
-    where : str
-        File name, or the name of the table when the data did not come from a file.
-    message : str
-        What is wrong, without the value and the place.
-    cure : str
-        What the user should do.
-    row : int, optional
-        Line in the file (the header of a table is line 1), or position in the table.
-    field : str, optional
-        Column or key.
-    value : object, optional
-        The offending value as it was read.
-    more : int
-        Further mistakes of the same kind that are not listed.
-
     Examples
     --------
     >>> print(Problem("pv.csv", "must be positive", "Give a rating in kW.", row=3,
@@ -44,13 +27,14 @@ class Problem:
     pv.csv, row 3, p_max_kw = -5.0: must be positive. Give a rating in kW.
     """
 
-    where: str
-    message: str
-    cure: str
+    where: str  #: file name, or the name of the table when the data did not come from a file
+    message: str  #: what is wrong, without the value and the place
+    cure: str  #: what the user should do
+    #: Line in the file (the header of a table is line 1), or position in the table.
     row: int | None = None
-    field: str | None = None
-    value: object = None
-    more: int = 0
+    field: str | None = None  #: column or key
+    value: object = None  #: the offending value as it was read
+    more: int = 0  #: further mistakes of the same kind that are not listed
 
     def __str__(self) -> str:
         place = self.where

@@ -38,83 +38,45 @@ class SolverKilledError(RuntimeError):
 
 @dataclass(frozen=True)
 class SolverOutage:
-    """A solver that fails in one step.
+    """A solver that fails in one step."""
 
-    Parameters
-    ----------
-    kind : str
-        One of ``SOLVER_FAULTS``.
-    every_call : bool
-        Whether every solve of the step fails; otherwise only the first.
-    """
-
-    kind: SolverFault
-    every_call: bool = True
+    kind: SolverFault  #: one of ``SOLVER_FAULTS``
+    every_call: bool = True  #: whether every solve of the step fails; otherwise only the first
 
 
 @dataclass(frozen=True)
 class MeasurementFault:
-    """Measurements that are missing or frozen over the steps ``[start, end)``.
+    """Measurements that are missing or frozen over the steps ``[start, end)``."""
 
-    Parameters
-    ----------
-    quantity : {"soc", "load", "pv"}
-        What is measured.
-    frozen : bool
-        Whether the last reading is repeated; otherwise there is none (NaN).
-    start, end : int
-        First step, and first step after it.
-    items : tuple of int, optional
-        Positions of the items in question; all if not given.
-    """
-
-    quantity: Quantity
-    frozen: bool
+    quantity: Quantity  #: what is measured
+    frozen: bool  #: whether the last reading is repeated; otherwise there is none (NaN)
+    #: First step, and first step after it.
     start: int
     end: int
-    items: tuple[int, ...] | None = None
+    items: tuple[int, ...] | None = None  #: positions of the items in question; all if not given
 
 
 @dataclass(frozen=True)
 class BatteryTrip:
-    """A battery that is out over the steps ``[start, end)``.
+    """A battery that is out over the steps ``[start, end)``."""
 
-    Parameters
-    ----------
-    battery : int
-        Position in the table of batteries.
-    start, end : int
-        First step, and first step after it.
-    silent : bool
-        Whether telemetry still reports it as there; it shows only by what it does not do.
-    """
-
-    battery: int
+    battery: int  #: position in the table of batteries
+    #: First step, and first step after it.
     start: int
     end: int
+    #: Whether telemetry still reports it as there; it shows only by what it does not do.
     silent: bool = False
 
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """Faults of a day.
+    """Faults of a day."""
 
-    Parameters
-    ----------
-    solver : mapping of int to SolverOutage
-        By step.
-    measurements : tuple of MeasurementFault
-        In any order; where two meet, the later one counts.
-    trips : tuple of BatteryTrip
-        Batteries that are out.
-    pv_bias : float
-        Added to the bias of the PV forecast for the whole day.
-    """
-
-    solver: Mapping[int, SolverOutage] = field(default_factory=dict)
+    solver: Mapping[int, SolverOutage] = field(default_factory=dict)  #: by step
+    #: In any order; where two meet, the later one counts.
     measurements: tuple[MeasurementFault, ...] = ()
-    trips: tuple[BatteryTrip, ...] = ()
-    pv_bias: float = 0.0
+    trips: tuple[BatteryTrip, ...] = ()  #: batteries that are out
+    pv_bias: float = 0.0  #: added to the bias of the PV forecast for the whole day
 
     def forecast_errors(self, errors: ForecastErrors) -> ForecastErrors:
         """Forecast errors with the day's own on top, and no bias below -1."""

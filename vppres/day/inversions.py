@@ -23,30 +23,16 @@ NAMES = 3
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """A customer off supply in a step, and who of lower tiers was supplied.
+    """A customer off supply in a step, and who of lower tiers was supplied."""
 
-    Parameters
-    ----------
-    t, customer : int
-        Step and customer.
-    kw : float
-        Its demand.
-    lower : array of int
-        Customers of lower tiers that drew power in the step, or later in the outage.
-    lower_kw : float
-        The most that they drew in a step.
-    kept : bool
-        Whether what was left in the batteries would have sufficed by itself.
-    by_headroom : bool
-        Whether it would not have sufficed for the headroom of grid-forming batteries besides.
-    """
-
+    #: Step and customer.
     t: int
     customer: int
-    kw: float
-    lower: Wholes
-    lower_kw: float
-    kept: bool
+    kw: float  #: its demand
+    lower: Wholes  #: customers of lower tiers that drew power in the step, or later in the outage
+    lower_kw: float  #: the most that they drew in a step
+    kept: bool  #: whether what was left in the batteries would have sufficed by itself
+    #: Whether it would not have sufficed for the headroom of grid-forming batteries besides.
     by_headroom: bool
 
 

@@ -47,17 +47,11 @@ DAY_H = 24.0
 
 @dataclass(frozen=True)
 class GridSeen:
-    """History of the grid up to the present step.
+    """History of the grid up to the present step."""
 
-    Parameters
-    ----------
-    outages : tuple of SeenOutage
-        Outages so far; the last one lasts if the present step is one of it.
-    import_kw : float
-        Largest import when there was grid last; it is taken to stay as it is.
-    """
-
+    #: Outages so far; the last one lasts if the present step is one of it.
     outages: tuple[SeenOutage, ...] = ()
+    #: Largest import when there was grid last; it is taken to stay as it is.
     import_kw: float = np.inf
 
     @property
@@ -83,18 +77,11 @@ class GridSeen:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Import prices before the window, and announced import limits in it.
+    """Import prices before the window, and announced import limits in it."""
 
-    Parameters
-    ----------
-    prices_gbp_per_kwh : array, shape (n,)
-        Import prices of the steps before.
-    limits_kw : array, shape (T,) or (0,)
-        Largest import of the steps while there is grid, as it was announced; NaN where no message
-        announced any, and the one of now is taken to stay.
-    """
-
-    prices_gbp_per_kwh: Floats
+    prices_gbp_per_kwh: Floats  #: import prices of the steps before, (n,)
+    #: Largest import of the steps while there is grid, as it was announced, (T,) or (0,); NaN where
+    #: no message announced any, and the one of now is taken to stay.
     limits_kw: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
@@ -112,30 +99,15 @@ class Beside:
 
 @dataclass(frozen=True, eq=False)
 class OutageView:
-    """View of outages that a controller gets.
+    """View of outages that a controller gets."""
 
-    Parameters
-    ----------
-    kind : {"known", "likely", "belief", "none"}
-        The option ``outages``.
-    outlook : OutageOutlook
-        Turns warnings and statistics into beliefs.
-    gbp_per_kwh_lost : float
-        Value of lost load.
-    soc_end : float, optional
-        State of charge that batteries keep at the end.
-    headroom : float, optional
-        Share of a grid-forming battery's inverter that an outage leaves free, 0 in the paper's
-        mode.
-    ranked : Site, optional
-        The site with its tiers in strict order; None where they are weighed.
-    """
-
-    kind: str
-    outlook: OutageOutlook
-    gbp_per_kwh_lost: float
-    soc_end: float | None = None
+    kind: str  #: the option ``outages``
+    outlook: OutageOutlook  #: turns warnings and statistics into beliefs
+    gbp_per_kwh_lost: float  #: value of lost load
+    soc_end: float | None = None  #: state of charge that batteries keep at the end
+    #: Share of a grid-forming battery's inverter that an outage leaves free, 0 in the paper's mode.
     headroom: float = 0.0
+    #: The site with its tiers in strict order; None where they are weighed.
     ranked: Site | None = None
 
     @classmethod

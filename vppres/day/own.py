@@ -25,22 +25,14 @@ MPC = "mpc"
 
 @dataclass(frozen=True, eq=False)
 class Own:
-    """Replacements for parts of a run.
+    """Replacements for parts of a run."""
 
-    Parameters
-    ----------
-    controller : callable, optional
-        Makes a controller of a site, ``controller(site)``; a class will do. What it makes has
-        ``horizon_steps(t0)`` and ``decide(observation)``.
-    forecaster : ForecastMethod, optional
-        Has ``forecast(history, issued_at, steps)``.
-    weights : callable or array, optional
-        The customers' weights of each step: an array of shape (T, C), or a function of the
-        observation that gives them, shape (C,).
-    """
-
+    #: Makes a controller of a site, ``controller(site)``; a class will do. What it makes has
+    #: ``horizon_steps(t0)`` and ``decide(observation)``.
     controller: Callable[[Site], Decider] | None = None
-    forecaster: ForecastMethod | None = None
+    forecaster: ForecastMethod | None = None  #: has ``forecast(history, issued_at, steps)``
+    #: The customers' weights of each step: an array of shape (T, C), or a function of the
+    #: observation that gives them, shape (C,).
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None
 
     def check(self, options: RunOptions) -> None:

@@ -49,36 +49,26 @@ OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES, OFF_BY_FAULT)
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """Record of one step once it is over: a piece of each table.
+    """Record of one step once it is over: a piece of each table."""
 
-    Parameters
-    ----------
-    t : int
-        Step.
-    steps : mapping of str to float, bool or str
-        The step's row: what the slack bus supplies and the losses in the AC power flow, the
-        voltages' extremes, how the decision was found (objective, bound, gap, status, time), what
-        overruled or replaced it and why, and any further figures.
-    customers, pv, batteries : mapping of str to array, shape (C,), (P,), (B,)
-        Demand and who was supplied; actual PV power and its split; battery powers at the
-        terminals, state of charge, efficiencies and cell temperature.
-    buses, lines : mapping of str to array, shape (N,), (L,)
-        Voltages and flows of the optimisation, and of the AC power flow at the sending end.
-    nodes : mapping of str to array, shape (m,)
-        Voltages that have limits, of the optimisation and of the AC power flow; with phases
-        their buses and phases.
-    kinds : mapping
-        Record of the units of each kind of flexible power, (n,) each.
-    """
-
-    t: int
+    t: int  #: step
+    #: The step's row: what the slack bus supplies and the losses in the AC power flow, the
+    #: voltages' extremes, how the decision was found (objective, bound, gap, status, time), what
+    #: overruled or replaced it and why, and any further figures.
     steps: Mapping[str, Any]
+    #: Demand and who was supplied, (C,), (P,), (B,); actual PV power and its split; battery powers
+    #: at the terminals, state of charge, efficiencies and cell temperature.
     customers: Mapping[str, NDArray[Any]]
     pv: Mapping[str, Floats]
     batteries: Mapping[str, Floats]
+    #: Voltages and flows of the optimisation, and of the AC power flow at the sending end, (N,),
+    #: (L,).
     buses: Mapping[str, Floats]
     lines: Mapping[str, Floats]
+    #: Voltages that have limits, of the optimisation and of the AC power flow, (m,); with phases
+    #: their buses and phases.
     nodes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    #: Record of the units of each kind of flexible power, (n,) each.
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
 
 

@@ -71,34 +71,18 @@ def kept_for(step: Step, customer: int) -> str:
 
 @dataclass(frozen=True)
 class Kept:
-    """Energy that is kept in a step.
+    """Energy that is kept in a step."""
 
-    Parameters
-    ----------
-    share : float
-        What batteries and tanks hold after it, of what they may.
-    end : pandas.Timestamp
-        End of the step.
-    likely_to : pandas.Timestamp
-        Latest time, of those with a probability of ``POSSIBLE``, up to which there is an outage.
-    probability : float
-        Its probability.
-    gbp : float
-        What the step would cost less if nothing were kept: import, and supply at the value of lost
-        load.
-    covers : str
-        The most important customers.
-    hours : float
-        For how long the energy supplies them alone.
-    """
-
-    share: float
-    end: pd.Timestamp
+    share: float  #: what batteries and tanks hold after it, of what they may
+    end: pd.Timestamp  #: end of the step
+    #: Latest time, of those with a probability of ``POSSIBLE``, up to which there is an outage.
     likely_to: pd.Timestamp
-    probability: float
+    probability: float  #: its probability
+    #: What the step would cost less if nothing were kept: import, and supply at the value of lost
+    #: load.
     gbp: float
-    covers: str
-    hours: float
+    covers: str  #: the most important customers
+    hours: float  #: for how long the energy supplies them alone
 
     def words(self, out: bool, zone: str) -> str:
         """Description of the kept energy in a sentence; times by the clocks at the site."""

@@ -48,22 +48,14 @@ Price = Callable[..., PricedWindow | None]
 
 @dataclass(frozen=True, eq=False)
 class StepPrices:
-    """The two levels of a step's pricing problem.
+    """The two levels of a step's pricing problem."""
 
-    Parameters
-    ----------
-    window : WindowData
-        What the controller saw.
-    service : PricedWindow or None
-        Service and curtailment maximised as weighted; None if the level was not needed because
-        all customers could be supplied, or had no answer.
-    cost : PricedWindow or None
-        Cost minimised with the service of the first level; None where stored energy decides on
-        service, where there is no grid in the window, or without answer.
-    """
-
-    window: WindowData
+    window: WindowData  #: what the controller saw
+    #: Service and curtailment maximised as weighted; None if the level was not needed because all
+    #: customers could be supplied, or had no answer.
     service: PricedWindow | None
+    #: Cost minimised with the service of the first level; None where stored energy decides on
+    #: service, where there is no grid in the window, or without answer.
     cost: PricedWindow | None
 
     @property

@@ -31,25 +31,14 @@ _PUT, _OPENED = "put", "opened"
 
 @dataclass(frozen=True, eq=False)
 class Feeding:
-    """Supply of the feeder in a step, and power of its buses that no customer owns.
+    """Supply of the feeder in a step, and power of its buses that no customer owns."""
 
-    Parameters
-    ----------
-    bus : int or str or None
-        The bus whose voltage is held; None where the feeder is blacked out.
-    v_pu : float
-        That voltage.
-    from_grid : bool
-        Whether the grid holds it. In the paper's islands no device does: a source stands at the
-        grid's bus all the same, and gives their losses.
-    fixed : DataFrame
-        ``bus``, ``p_kw`` and ``q_kvar`` of constant power.
-    """
-
-    bus: BusId | None
-    v_pu: float
+    bus: BusId | None  #: the bus whose voltage is held; None where the feeder is blacked out
+    v_pu: float  #: that voltage
+    #: Whether the grid holds it. In the paper's islands no device does: a source stands at the
+    #: grid's bus all the same, and gives their losses.
     from_grid: bool
-    fixed: pd.DataFrame
+    fixed: pd.DataFrame  #: ``bus``, ``p_kw`` and ``q_kvar`` of constant power
 
     @classmethod
     def of(

@@ -124,11 +124,9 @@ def _as_given(feeder: ImportedFeeder) -> ACResult | None:
 def source_deviation(feeder: ImportedFeeder, scenario: Scenario) -> SourceDeviation:
     """Differences in all three states; those of a source that does not converge are not known."""
     given = feeder.deviation
-    return SourceDeviation(
-        no_load_pu=None if given is None else given.no_load_pu,
-        as_given_pu=None if given is None else given.v_max_pu,
-        worst_hour_pu=None if given is None else worst_hour_pu(feeder, scenario),
-    )
+    if given is None:
+        return SourceDeviation()
+    return SourceDeviation(given.no_load_pu, given.v_max_pu, worst_hour_pu(feeder, scenario))
 
 
 def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:

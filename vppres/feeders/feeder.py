@@ -77,30 +77,15 @@ class Loads(_Elements):
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Series of one element or asset, as it was given.
+    """Series of one element or asset, as it was given."""
 
-    Parameters
-    ----------
-    where : str
-        File or source, for messages.
-    name : str
-        The element or asset, as the source names it.
-    values : Series
-        Indexed by times in UTC; by the number of the row where the source has no times.
-    unit : str
-        ``kw``, ``mw``, ``pu`` of the element's power, or empty where nothing says.
-    factor : float
-        What the values are multiplied by, before the unit.
-    column : str
-        Column of the file; empty where the name stands in rows.
-    """
-
-    where: str
-    name: str
+    where: str  #: file or source, for messages
+    name: str  #: the element or asset, as the source names it
+    #: Indexed by times in UTC; by the number of the row where the source has no times.
     values: pd.Series[float]
-    unit: str = ""
-    factor: float = 1.0
-    column: str = ""
+    unit: str = ""  #: ``kw``, ``mw``, ``pu`` of the element's power, or empty where nothing says
+    factor: float = 1.0  #: what the values are multiplied by, before the unit
+    column: str = ""  #: column of the file; empty where the name stands in rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,21 +112,14 @@ class Storages(_Elements):
 
 @dataclass(frozen=True)
 class Deviation:
-    """AC power flow of the feeder against that of the source.
+    """AC power flow of the feeder against that of the source."""
 
-    Parameters
-    ----------
-    v_max_pu : float
-        Largest difference of a bus voltage with the loads and generators of the source.
-    losses_source_kw, losses_kw : float
-        Active losses of the source and of the feeder, shunts included.
-    no_load_pu : float, optional
-        Largest difference of a bus voltage without them; None where it is not known.
-    """
-
+    #: Largest difference of a bus voltage with the loads and generators of the source.
     v_max_pu: float
+    #: Active losses of the source and of the feeder, shunts included.
     losses_source_kw: float
     losses_kw: float
+    #: Largest difference of a bus voltage without them; None where it is not known.
     no_load_pu: float | None = None
 
     def __str__(self) -> str:
@@ -194,67 +172,34 @@ class PhasedSource:
 
 @dataclass(frozen=True, eq=False)
 class ImportedFeeder:
-    """A feeder from another tool.
+    """A feeder from another tool."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the source.
-    network : Network
-        ``N`` buses; all impedances refer to its ``base_kv``.
-    p_load_kw, q_load_kvar : array, shape (N,)
-        Load of each bus, in the network's bus order.
-    generators : Generators
-        Generators of the source.
-    storages : Storages
-        Batteries of the source.
-    loads : Loads
-        Loads one by one, as far as they are known.
-    profiles : tuple of Profile
-        Series that come with the source.
-    bus_of : mapping
-        Bus of the network for every supplied bus of the source; joined buses share one.
-    notes : tuple of str
-        What was simplified, one sentence each; empty if nothing was.
-    left_out : tuple of str
-        Those of the notes that say what has no supply; they hold for phases too.
-    deviation : Deviation, optional
-        What the simplifications change; None if the source's power flow does not converge.
-    causes : tuple of str, optional
-        What the voltages may differ by, the largest first.
-    source_flow : SourceFlow, optional
-        AC power flow of the source for other powers.
-    unbalanced : str
-        What of the source is not balanced and was spread over three phases; empty if nothing.
-    switches : Switches
-        Closed switches on its lines, and open ones beside them.
-    named : bool
-        Whether customers are the loads, and they, generators and batteries keep their names.
-    phased : PhasedSource, optional
-        The three phases; None for a feeder that is balanced.
-    title : str
-        The network's own name; empty if it has none.
-    """
-
-    name: str
-    network: Network
+    name: str  #: name of the source
+    network: Network  #: ``N`` buses; all impedances refer to its ``base_kv``
+    #: Load of each bus, in the network's bus order, (N,).
     p_load_kw: Floats
     q_load_kvar: Floats
-    generators: Generators
+    generators: Generators  #: generators of the source
+    #: Bus of the network for every supplied bus of the source; joined buses share one.
     bus_of: Mapping[int, BusId]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: what was simplified, one sentence each; empty if nothing was
+    #: Those of the notes that say what has no supply; they hold for phases too.
     left_out: tuple[str, ...] = ()
+    #: What the simplifications change; None if the source's power flow does not converge.
     deviation: Deviation | None = None
-    storages: Storages = field(default_factory=Storages.none)
-    loads: Loads = field(default_factory=Loads.none)
-    profiles: tuple[Profile, ...] = ()
-    causes: tuple[str, ...] = ()
-    source_flow: SourceFlow | None = None
+    storages: Storages = field(default_factory=Storages.none)  #: batteries of the source
+    loads: Loads = field(default_factory=Loads.none)  #: loads one by one, as far as they are known
+    profiles: tuple[Profile, ...] = ()  #: series that come with the source
+    causes: tuple[str, ...] = ()  #: what the voltages may differ by, the largest first
+    source_flow: SourceFlow | None = None  #: AC power flow of the source for other powers
+    #: What of the source is not balanced and was spread over three phases; empty if nothing.
     unbalanced: str = ""
+    #: Closed switches on its lines, and open ones beside them.
     switches: Switches = field(default_factory=Switches.none)
+    #: Whether customers are the loads, and they, generators and batteries keep their names.
     named: bool = False
-    phased: PhasedSource | None = None
-    title: str = ""
+    phased: PhasedSource | None = None  #: the three phases; None for a feeder that is balanced
+    title: str = ""  #: the network's own name; empty if it has none
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -31,25 +31,17 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PhasedCheck:
-    """Power flow of the three phases without control, and whether currents add up.
+    """Power flow of the three phases without control, and whether currents add up."""
 
-    Parameters
-    ----------
-    steps, unsolved : int
-        Steps of extreme demand and generation, and those of them without a solution.
-    mismatch_kva : float, optional
-        Largest power that the currents of all devices leave open at a node; None without a step.
-    nodes, nodes_outside : int
-        Voltages with limits, and those of them that are outside the AC limits in any step.
-    v_min_pu, v_max_pu, loading, unbalance : Extreme, optional
-        Extremes of voltages, of loadings as shares of the ratings, and of the unbalance factor.
-    """
-
+    #: Steps of extreme demand and generation, and those of them without a solution.
     steps: int
     unsolved: int
+    #: Largest power that the currents of all devices leave open at a node; None without a step.
     mismatch_kva: float | None
+    #: Voltages with limits, and those of them that are outside the AC limits in any step.
     nodes: int
     nodes_outside: int
+    #: Extremes of voltages, of loadings as shares of the ratings, and of the unbalance factor.
     v_min_pu: Extreme | None
     v_max_pu: Extreme | None
     loading: Extreme | None

@@ -18,30 +18,14 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class PublicFeed:
-    """A public feed.
+    """A public feed."""
 
-    Parameters
-    ----------
-    name : str
-        Short name.
-    operator : str
-        Network operator.
-    url : str
-        What is asked.
-    licence : str
-        Licence of the data, which asks for attribution.
-    suffix : str
-        Of recorded answers.
-    read : callable
-        Reads an answer.
-    """
-
-    name: str
-    operator: str
-    url: str
-    licence: str
-    suffix: str
-    read: Callable[[bytes], FeedSnapshot]
+    name: str  #: short name
+    operator: str  #: network operator
+    url: str  #: what is asked
+    licence: str  #: licence of the data, which asks for attribution
+    suffix: str  #: of recorded answers
+    read: Callable[[bytes], FeedSnapshot]  #: reads an answer
 
 
 def read_ukpn(content: bytes) -> FeedSnapshot:

@@ -22,30 +22,14 @@ _INWARD = re.compile(r"\d[A-Z]{2}")
 
 @dataclass(frozen=True)
 class Incident:
-    """An outage in a feed.
+    """An outage in a feed."""
 
-    Parameters
-    ----------
-    name : str
-        Reference of the operator.
-    postcodes : tuple of str
-        Postcodes, or sectors and districts, that are affected.
-    planned : bool
-        Whether it is planned work with a known beginning.
-    start : pandas.Timestamp, optional
-        Beginning.
-    end : pandas.Timestamp, optional
-        Planned end, or estimated restoration.
-    restored : bool
-        Whether it is over.
-    """
-
-    name: str
-    postcodes: tuple[str, ...]
-    planned: bool = False
-    start: pd.Timestamp | None = None
-    end: pd.Timestamp | None = None
-    restored: bool = False
+    name: str  #: reference of the operator
+    postcodes: tuple[str, ...]  #: postcodes, or sectors and districts, that are affected
+    planned: bool = False  #: whether it is planned work with a known beginning
+    start: pd.Timestamp | None = None  #: beginning
+    end: pd.Timestamp | None = None  #: planned end, or estimated restoration
+    restored: bool = False  #: whether it is over
 
     def touches(self, areas: Iterable[str]) -> bool:
         """Whether it is in one of some areas: postcodes, sectors or districts."""
@@ -72,21 +56,11 @@ class Incident:
 
 @dataclass(frozen=True)
 class FeedSnapshot:
-    """Incidents of a feed at one time.
+    """Incidents of a feed at one time."""
 
-    Parameters
-    ----------
-    incidents : tuple of Incident
-        All that it holds.
-    made_at : pandas.Timestamp, optional
-        When the operator made it, where the feed says so.
-    left_out : int
-        Rows that could not be read.
-    """
-
-    incidents: tuple[Incident, ...]
-    made_at: pd.Timestamp | None = None
-    left_out: int = 0
+    incidents: tuple[Incident, ...]  #: all that it holds
+    made_at: pd.Timestamp | None = None  #: when the operator made it, where the feed says so
+    left_out: int = 0  #: rows that could not be read
 
 
 def area(text: str) -> str:

@@ -23,26 +23,15 @@ MINUTES_PER_DAY = 1440
 
 @dataclass(frozen=True, eq=False)
 class ClockTable:
-    """Values by row of the clock.
+    """Values by row of the clock."""
 
-    Parameters
-    ----------
-    per_day : int
-        Rows of a day.
-    values : array, shape (rows, items)
-        The values; NaN where nothing is known.
-    row : array, shape (n,)
-        Row of each step of the history and of the steps to come. An hour that clocks leave out has
-        rows that no step has, and they hold what was last before; of an hour that comes twice the
-        second time counts.
-    known : int
-        Steps that are over.
-    """
-
-    per_day: int
-    values: Floats
+    per_day: int  #: rows of a day
+    values: Floats  #: the values, (rows, items); NaN where nothing is known
+    #: Row of each step of the history and of the steps to come, (n,). An hour that clocks leave out
+    #: has rows that no step has, and they hold what was last before; of an hour that comes twice
+    #: the second time counts.
     row: Wholes
-    known: int
+    known: int  #: steps that are over
 
     @property
     def now(self) -> int:

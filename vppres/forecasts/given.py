@@ -23,32 +23,20 @@ class GivenQuantiles:
     Nothing is known of how the errors of two steps or series belong together: path ``i`` is at the
     same level everywhere, so that sums are as uncertain as they can be. What a file does not cover
     is NaN.
-
-    Parameters
-    ----------
-    issued, times : DatetimeIndex
-        When each row was issued, and the beginning of its step, n.
-    series : array of str, shape (n,)
-        ``load`` or ``pv`` for a total, which is shared out like the history's means, or an
-        identifier.
-    levels : array, shape (Q,)
-        Ascending levels between 0 and 1.
-    values : array, shape (n, Q)
-        Quantiles in kW.
-    customers, pv : array of str
-        Identifiers in the order of the forecast.
-    lag : Timedelta
-        By how much a row must be older than the forecast that uses it.
     """
 
+    #: When each row was issued, and the beginning of its step, n.
     issued: pd.DatetimeIndex
     times: pd.DatetimeIndex
+    #: ``load`` or ``pv`` for a total, which is shared out like the history's means, or an
+    #: identifier, (n,).
     series: Names
-    levels: Floats
-    values: Floats
+    levels: Floats  #: ascending levels between 0 and 1, (Q,)
+    values: Floats  #: quantiles in kW, (n, Q)
+    #: Identifiers in the order of the forecast.
     customers: Names
     pv: Names
-    lag: pd.Timedelta = NO_TIME
+    lag: pd.Timedelta = NO_TIME  #: by how much a row must be older than the forecast that uses it
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
         """The quantiles as paths; the history's means share totals out."""

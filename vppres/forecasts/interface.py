@@ -25,26 +25,13 @@ class LoadAndPV:
 
     Path ``m`` is one possible course of everything: its load and its PV power belong together,
     and so do its steps. What is asked of sums over items or steps is asked of the paths' sums.
-
-    Parameters
-    ----------
-    start : pandas.Timestamp
-        Beginning of the first step.
-    step_minutes : float
-        Step length in minutes.
-    load_kw : array, shape (M, W, C)
-        Demand of each customer; NaN where nothing is known of one.
-    pv_kw : array, shape (M, W, P)
-        Available power of each PV system.
-    basis : str
-        What it rests on.
     """
 
-    start: pd.Timestamp
-    step_minutes: float
-    load_kw: Floats
-    pv_kw: Floats
-    basis: Basis = "model"
+    start: pd.Timestamp  #: beginning of the first step
+    step_minutes: float  #: step length in minutes
+    load_kw: Floats  #: demand of each customer, (M, W, C); NaN where nothing is known of one
+    pv_kw: Floats  #: available power of each PV system, (M, W, P)
+    basis: Basis = "model"  #: what it rests on
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

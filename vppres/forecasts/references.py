@@ -13,15 +13,9 @@ from vppres.scenario.history import History
 
 @dataclass(frozen=True)
 class Climatology:
-    """Values at the same time of day on each of the last days: the honest reference.
+    """Values at the same time of day on each of the last days: the honest reference."""
 
-    Parameters
-    ----------
-    days : int
-        Number of days, each a path.
-    """
-
-    days: int = 42
+    days: int = 42  #: number of days, each a path
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
         """See :class:`vppres.forecasts.interface.ForecastMethod`."""
@@ -32,15 +26,9 @@ class Climatology:
 
 @dataclass(frozen=True)
 class WeeklyNaive:
-    """Values of a week before, with that rule's errors: the weak reference that many quote.
+    """Values of a week before, with that rule's errors: the weak reference that many quote."""
 
-    Parameters
-    ----------
-    residual_days : int
-        Past days whose errors are looked at.
-    """
-
-    residual_days: int = 42
+    residual_days: int = 42  #: past days whose errors are looked at
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
         """See :class:`vppres.forecasts.interface.ForecastMethod`."""

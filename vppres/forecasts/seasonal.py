@@ -48,30 +48,19 @@ class Seasonal:
 
     They were chosen on eight months of the 17 homes of ``data/homes``, and are held on to the last
     four.
-
-    Parameters
-    ----------
-    weekdays, days : int
-        Same weekdays and last days whose mean the load is.
-    load_errors, pv_errors : LastErrors
-        How the latest errors go on.
-    envelope_days : int
-        Days whose largest power at a time is the clear sky.
-    moved_mean : float
-        Share of a change of the mean index that past days are moved by, far ahead.
-    residual_days : int
-        Past days whose errors are looked at.
-    least_sun : float
-        Share of the largest power below which the clear sky counts as none for its index.
     """
 
+    #: Same weekdays and last days whose mean the load is.
     weekdays: int = 4
     days: int = 3
+    #: How the latest errors go on.
     load_errors: LastErrors = OF_LOAD
     pv_errors: LastErrors = OF_INDEX
-    envelope_days: int = 21
+    envelope_days: int = 21  #: days whose largest power at a time is the clear sky
+    #: Share of a change of the mean index that past days are moved by, far ahead.
     moved_mean: float = 0.3
-    residual_days: int = 42
+    residual_days: int = 42  #: past days whose errors are looked at
+    #: Share of the largest power below which the clear sky counts as none for its index.
     least_sun: float = 0.01
 
     def days_at(self, early: int) -> list[int]:

@@ -25,24 +25,12 @@ LEAST_KNOWN = 0.5
 
 @dataclass(frozen=True)
 class LastErrors:
-    """Rule by which the latest errors of a forecast go on.
+    """Rule by which the latest errors of a forecast go on."""
 
-    Parameters
-    ----------
-    recent_h : float
-        Hours of which the recent error is the mean.
-    recent_decay_per_h : float
-        What is left of it after an hour.
-    day_share : float
-        Share of the last day's mean error that goes on.
-    day_decay_per_h : float
-        What is left of that after an hour.
-    """
-
-    recent_h: float
-    recent_decay_per_h: float
-    day_share: float
-    day_decay_per_h: float
+    recent_h: float  #: hours of which the recent error is the mean
+    recent_decay_per_h: float  #: what is left of it after an hour
+    day_share: float  #: share of the last day's mean error that goes on
+    day_decay_per_h: float  #: what is left of that after an hour
 
     def courses(self, recent: Floats, day: Floats, leads_h: Floats) -> tuple[Floats, Floats]:
         """How the recent and the last day's error go on, (..., W, items) each.
@@ -63,21 +51,13 @@ class LastErrors:
 
 @dataclass(frozen=True, eq=False)
 class PastMeasurements:
-    """Load and PV power as measured when a forecast is issued, and nothing later.
+    """Load and PV power as measured when a forecast is issued, and nothing later."""
 
-    Parameters
-    ----------
-    issued_at : pandas.Timestamp
-        Beginning of the first step to come.
-    step_minutes, dt_h : float
-        Step length.
-    load, sun : ClockTable
-        Demand on the clocks of the feeder, PV power on the solar clock.
-    """
-
-    issued_at: pd.Timestamp
+    issued_at: pd.Timestamp  #: beginning of the first step to come
+    #: Step length.
     step_minutes: float
     dt_h: float
+    #: Demand on the clocks of the feeder, PV power on the solar clock.
     load: ClockTable
     sun: ClockTable
 
@@ -176,24 +156,14 @@ class PastMeasurements:
 
 @dataclass(frozen=True, eq=False)
 class ClockWindow:
-    """The steps to come and the same times of past days, on the rows of a clock.
+    """The steps to come and the same times of past days, on the rows of a clock."""
 
-    Parameters
-    ----------
-    table : ClockTable
-        The values.
-    days : array, shape (M,)
-        How many days before the present one the forecasts were issued whose errors are looked at.
-    ahead : int
-        Rows to come, W.
-    dt_h : float
-        Step length in h.
-    """
-
-    table: ClockTable
+    table: ClockTable  #: the values
+    #: How many days before the present one the forecasts were issued whose errors are looked at,
+    #: (M,).
     days: Wholes
-    ahead: int
-    dt_h: float
+    ahead: int  #: rows to come, W
+    dt_h: float  #: step length in h
 
     @property
     def leads_h(self) -> Floats:

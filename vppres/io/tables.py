@@ -35,20 +35,11 @@ _NAMELESS = re.compile(r"__index_level_\d+__")  # the numbers of the rows, as pa
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A file as it was read: cells of a CSV file are stripped text.
+    """A file as it was read: cells of a CSV file are stripped text."""
 
-    Parameters
-    ----------
-    file : str
-        File name inside the folder.
-    frame : pandas.DataFrame
-        Cells; the index is the line in the file (the header is line 1).
-    is_read : bool, optional
-        False of a file that is missing or broken, which counts as a table without columns.
-    """
-
-    file: str
-    frame: pd.DataFrame
+    file: str  #: file name inside the folder
+    frame: pd.DataFrame  #: cells; the index is the line in the file (the header is line 1)
+    #: False of a file that is missing or broken, which counts as a table without columns.
     is_read: bool = True
 
     def __bool__(self) -> bool:

@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes
-from vppres.core.by_step import ByStep
+from vppres.core.arrays import ByStep, Flags, Floats, Items, Names, Wholes
 from vppres.core.errors import InputError, Problem
 
 
@@ -77,48 +76,30 @@ class KindTable(Items):
 
 @dataclass(frozen=True)
 class Kind:
-    """Names of a kind.
+    """Names of a kind."""
 
-    Parameters
-    ----------
-    tables : mapping
-        Its files by field of the scenario, that of its units first.
-    what : str
-        What a controller plans, in words.
-    table, item : str
-        Table of a run, and its column of units.
-    subject : str
-        Item of the explanations that reasons are about.
-    sign : str
-        What a sign in the feeder's diagram stands for.
-    element : tuple of str
-        Table of a pandapower net in which units stand, and the word before their identifiers there.
-    gives : bool
-        Whether units only give power: the column ``p_kw`` of that table is what they give, and
-        batteries may charge from it.
-    forms : bool
-        Whether units can form the grid of an island; they have ``grid_forming`` and ``q_max_kvar``.
-    takes_less : bool
-        Whether units take less where an island lacks power, before a battery gives more or a
-        customer is shed; those of later kinds first.
-    recovers_by : str
-        State by which customers' units draw more after an outage, in words; empty if there is none.
-    store : tuple of tuple
-        Column of a run with what units hold at a step's end, and that of their table with the most,
-        of a kind whose store is worth energy later; empty otherwise.
-    """
-
+    #: Its files by field of the scenario, that of its units first.
     tables: Mapping[str, type[KindTable]]
-    what: str
+    what: str  #: what a controller plans, in words
+    #: Table of a run, and its column of units.
     table: str
     item: str
-    subject: str
-    sign: str
+    subject: str  #: item of the explanations that reasons are about
+    sign: str  #: what a sign in the feeder's diagram stands for
+    #: Table of a pandapower net in which units stand, and the word before their identifiers there.
     element: tuple[Literal["load", "sgen", "storage"], str]
+    #: Whether units only give power: the column ``p_kw`` of that table is what they give, and
+    #: batteries may charge from it.
     gives: bool = False
+    #: Whether units can form the grid of an island; they have ``grid_forming`` and ``q_max_kvar``.
     forms: bool = False
+    #: Whether units take less where an island lacks power, before a battery gives more or a
+    #: customer is shed; those of later kinds first.
     takes_less: bool = False
+    #: State by which customers' units draw more after an outage, in words; empty if there is none.
     recovers_by: str = ""
+    #: Column of a run with what units hold at a step's end, and that of their table with the most,
+    #: of a kind whose store is worth energy later; empty otherwise.
     store: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -160,21 +141,14 @@ class Units(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class EnergyHeld:
-    """Energy in a battery that stands for what the units of a kind hold.
+    """Energy in a battery that stands for what the units of a kind hold."""
 
-    Parameters
-    ----------
-    kwh_each : array, shape (n,)
-        What a unit of the store stands for, a litre of fuel for example; 0 where it is no use.
-    power_kw, held_kwh : float
-        Largest power of all, and their energy now.
-    delivered_kwh : array, shape (T,)
-        What comes at the beginning of each step, that of the present one left out.
-    """
-
+    #: What a unit of the store stands for, a litre of fuel for example, (n,); 0 where it is no use.
     kwh_each: Floats
+    #: Largest power of all, and their energy now.
     power_kw: float
     held_kwh: float
+    #: What comes at the beginning of each step, that of the present one left out, (T,).
     delivered_kwh: Floats
 
 
@@ -318,50 +292,27 @@ class Followers(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A step that a live controller decides now.
+    """A step that a live controller decides now."""
 
-    Parameters
-    ----------
-    known : Scenario
-        What was known, the steps since the last decision included.
-    row : int
-        The step's row in it.
-    skipped : range
-        Rows since the last decision in which nothing was decided.
-    served : array of bool, shape (C,), or None
-        Customers that were supplied since; None before the first decision.
-    at_h : float
-        The moment, in h since the controller's first step.
-    window : Scenario
-        The step and those ahead, as they are measured and expected.
-    """
-
-    known: Any
-    row: int
-    skipped: range
+    known: Any  #: what was known, the steps since the last decision included
+    row: int  #: the step's row in it
+    skipped: range  #: rows since the last decision in which nothing was decided
+    #: Customers that were supplied since, (C,); None before the first decision.
     served: Flags | None
-    at_h: float
-    window: Any
+    at_h: float  #: the moment, in h since the controller's first step
+    window: Any  #: the step and those ahead, as they are measured and expected
 
 
 @dataclass(frozen=True, eq=False)
 class UnitsNow:
-    """The units of a kind in the step that is decided now; what ``now`` of its live part makes.
+    """The units of a kind in the step that is decided now; what ``now`` of its live part makes."""
 
-    Parameters
-    ----------
-    state : Any
-        The estimate of their state, as the plant has it.
-    taken_kw, taken_off_kw : float
-        Power that all took since the last decision, as metered or else as set, and by
-        how much that may be off.
-    estimated : tuple of str
-        Readings that are missing or frozen, and units that are out, in words.
-    """
-
-    state: Any
+    state: Any  #: the estimate of their state, as the plant has it
+    #: Power that all took since the last decision, as metered or else as set, and by how much that
+    #: may be off.
     taken_kw: float
     taken_off_kw: float
+    #: Readings that are missing or frozen, and units that are out, in words.
     estimated: tuple[str, ...]
 
     def able(self, ahead: UnitsAhead) -> UnitsAhead:

@@ -17,49 +17,23 @@ GRID = "grid"
 
 @dataclass(frozen=True)
 class Nearest:
-    """Quantity nearest to its limit: a phase of the former, or the voltage of a bus.
+    """Quantity nearest to its limit: a phase of the former, or the voltage of a bus."""
 
-    Parameters
-    ----------
-    phase : str
-        A phase, or a pair of phases.
-    at : str
-        The device, or the bus.
-    share : float
-        Of its limit; a voltage's is 0 in the middle of its limits and 1 at one of them.
-    """
-
-    phase: str
-    at: str
-    share: float
+    phase: str  #: a phase, or a pair of phases
+    at: str  #: the device, or the bus
+    share: float  #: of its limit; a voltage's is 0 in the middle of its limits and 1 at one of them
 
 
 @dataclass(frozen=True, eq=False)
 class ByPhase:
-    """Result of an AC power flow of the set-points on each phase.
+    """Result of an AC power flow of the set-points on each phase."""
 
-    Parameters
-    ----------
-    nodes : Series
-        Voltages in pu by bus and phase, of pairs of phases on three wires.
-    source : str
-        ``grid``, or the battery or generating set that holds the island.
-    source_kva : Series
-        What it gives on each phase.
-    rating_kva : float or None
-        What that device can give on each phase; None of the grid.
-    unbalance_max : float
-        Largest unbalance factor of any bus with three phases.
-    nearest : Nearest
-        What is nearest its limit.
-    """
-
-    nodes: pd.Series[float]
-    source: str
-    source_kva: pd.Series[float]
-    rating_kva: float | None
-    unbalance_max: float
-    nearest: Nearest
+    nodes: pd.Series[float]  #: voltages in pu by bus and phase, of pairs of phases on three wires
+    source: str  #: ``grid``, or the battery or generating set that holds the island
+    source_kva: pd.Series[float]  #: what it gives on each phase
+    rating_kva: float | None  #: what that device can give on each phase; None of the grid
+    unbalance_max: float  #: largest unbalance factor of any bus with three phases
+    nearest: Nearest  #: what is nearest its limit
 
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:

@@ -137,34 +137,11 @@ class Measurement(ReadOfKinds):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A measurement in arrays, by its own names; NaN where a reading is missing.
+    """A measurement in arrays, by its own names; NaN where a reading is missing."""
 
-    Parameters
-    ----------
-    t : int
-        The step.
-    scenario : Scenario
-        The scenario with what was expected in its place, and what was measured where that is
-        anything.
-    announced_kw : array, shape (T,)
-        Largest import while there is grid, as far as it was announced; NaN elsewhere.
-    foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
-        Series whose steps ahead are another provider's forecast.
-    left_out : tuple of str
-        Readings that no device can have, in words; they count as missing.
-    elapsed_h : float
-        How much of the step is over.
-    soc_age_h : array, shape (B,)
-        How old the states of charge are.
-    told : tuple of Told
-        Set-points of batteries since the last decision, where these differ from it.
-    kinds : dict
-        Readings of the units of each kind.
-    profile_kw, profile_pv_kw : array, shape (C,) and (P,)
-        What the scenario says of demand and PV power in the step.
-    """
-
-    t: int
+    t: int  #: the step
+    #: The scenario with what was expected in its place, and what was measured where that is
+    #: anything.
     scenario: Scenario
     load_kw: Floats
     pv_kw: Floats
@@ -175,14 +152,18 @@ class Seen:
     online: Flags
     import_kw: float | None
     connected: Flags
+    #: Largest import while there is grid, as far as it was announced, (T,); NaN elsewhere.
     announced_kw: Floats
+    #: Series whose steps ahead are another provider's forecast, (C,) and (P,).
     foretold_load: Flags
     foretold_pv: Flags
-    left_out: tuple[str, ...]
-    elapsed_h: float
-    soc_age_h: Floats
+    left_out: tuple[str, ...]  #: readings that no device can have, in words; they count as missing
+    elapsed_h: float  #: how much of the step is over
+    soc_age_h: Floats  #: how old the states of charge are, (B,)
+    #: Set-points of batteries since the last decision, where these differ from it.
     told: tuple[Told, ...]
-    kinds: dict[str, Any]
+    kinds: dict[str, Any]  #: readings of the units of each kind
+    #: What the scenario says of demand and PV power in the step, (C,) and (P,).
     profile_kw: Floats
     profile_pv_kw: Floats
 

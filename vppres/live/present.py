@@ -9,10 +9,10 @@ import numpy as np
 
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import batteries_out
-from vppres.contract.forecast import ForecastErrors
+from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.terminal import Terminal
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import DayForecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
@@ -21,11 +21,37 @@ from vppres.day.simulate import Day
 from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.table import parts, units_of
-from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class GivenFirst:
+    """A forecaster's forecasts, but for the series that another provider foretold."""
+
+    own: DayForecasts
+    scenario: Scenario
+    load: Flags
+    pv: Flags
+
+    @classmethod
+    def of(cls, own: DayForecasts, scenario: Scenario, seen: Seen) -> DayForecasts:
+        """The forecaster's alone where there is no other provider."""
+        if not (seen.foretold_load.any() or seen.foretold_pv.any()):
+            return own
+        return cls(own, scenario, seen.foretold_load, seen.foretold_pv)
+
+    def at(self, t0: int, steps: range) -> Forecast:
+        """Forecast at the beginning of step ``t0``."""
+        found = self.own.at(t0, steps)
+        rows = slice(steps.start, steps.stop)
+        return replace(
+            found,
+            load_kw=np.where(self.load, self.scenario.load_kw[rows], found.load_kw),
+            pv_kw=np.where(self.pv, self.scenario.pv_kw[rows], found.pv_kw),
+        )
 
 
 @dataclass(frozen=True, eq=False)

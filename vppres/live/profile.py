@@ -25,17 +25,6 @@ WEEK = 7
 class ClockProfile:
     """Series by the clock.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The site.
-    minutes : array, shape (K,)
-        Minutes since local midnight, or since that of Monday, rising.
-    series : mapping of str to array, shape (K, ...)
-        What holds from each of them on.
-    weekly : bool
-        Whether weekdays differ.
-
     Examples
     --------
     >>> import vppres
@@ -45,10 +34,10 @@ class ClockProfile:
     ('2026-02-01T00:00:00+00:00', (4, 32), np.False_)
     """
 
-    scenario: Scenario
-    minutes: Wholes
-    series: dict[str, Floats]
-    weekly: bool
+    scenario: Scenario  #: the site
+    minutes: Wholes  #: minutes since local midnight, or since that of Monday, rising, (K,)
+    series: dict[str, Floats]  #: what holds from each of them on, (K, ...)
+    weekly: bool  #: whether weekdays differ
 
     @classmethod
     def of(cls, scenario: Scenario) -> ClockProfile:

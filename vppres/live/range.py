@@ -19,29 +19,17 @@ POWER_KW = 0.02
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers that a quantity can have.
+    """The numbers that a quantity can have."""
 
-    Parameters
-    ----------
-    lowest, highest : float
-        Ends, included.
-    message, cure : str
-        What to say of a number outside.
-    beyond : str
-        What to say of a number above, if it is not the same.
-    infinite : bool
-        Whether it may be infinite.
-    whole : bool
-        Whether it lies at one of the ends, and not between.
-    """
-
+    #: Ends, included.
     lowest: float
     highest: float
+    #: What to say of a number outside.
     message: str
     cure: str
-    beyond: str = ""
-    infinite: bool = False
-    whole: bool = False
+    beyond: str = ""  #: what to say of a number above, if it is not the same
+    infinite: bool = False  #: whether it may be infinite
+    whole: bool = False  #: whether it lies at one of the ends, and not between
 
     def holds(self, value: float) -> bool:
         """Whether a number is in the range."""

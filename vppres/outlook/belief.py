@@ -24,25 +24,6 @@ HALF = 0.5
 class OutageBelief:
     """Belief at a step about it and the ``T - 1`` steps behind it.
 
-    Parameters
-    ----------
-    onset : array, shape (A, T)
-        Probability that each announced outage begins at a step, given all that is seen: nothing
-        at the present one. Its sum is below 1 where it may not come at all.
-    duration : array, shape (A + 1, D)
-        Probability of each length in steps, from 1; row 0 is that of outages that were not
-        announced.
-    hazard : float
-        Probability that such an outage begins at a step.
-    out : bool
-        Whether the present step is one of an outage.
-    kind : int
-        Row of ``duration`` that the present outage has.
-    elapsed : int
-        Steps that it has lasted before the present one.
-    words : str
-        Which messages count, where several speak of one outage.
-
     Examples
     --------
     An outage that begins for certain in two steps and lasts two:
@@ -54,13 +35,17 @@ class OutageBelief:
     array([0., 0., 1., 1., 0., 0.])
     """
 
+    #: Probability that each announced outage begins at a step, given all that is seen, (A, T):
+    #: nothing at the present one. Its sum is below 1 where it may not come at all.
     onset: Floats
+    #: Probability of each length in steps, from 1, (A + 1, D); row 0 is that of outages that were
+    #: not announced.
     duration: Floats
-    hazard: float
-    out: bool = False
-    kind: int = 0
-    elapsed: int = 0
-    words: str = ""
+    hazard: float  #: probability that such an outage begins at a step
+    out: bool = False  #: whether the present step is one of an outage
+    kind: int = 0  #: row of ``duration`` that the present outage has
+    elapsed: int = 0  #: steps that it has lasted before the present one
+    words: str = ""  #: which messages count, where several speak of one outage
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

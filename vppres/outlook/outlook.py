@@ -44,37 +44,21 @@ class SeenOutage:
 
 @dataclass(frozen=True)
 class Announced:
-    """An announced outage as its messages so far leave it: the last one, and its onset.
+    """An announced outage as its messages so far leave it: the last one, and its onset."""
 
-    Parameters
-    ----------
-    message : OutageWarning
-        The last one, with what it leaves out as those before it said it.
-    first_issued : pandas.Timestamp
-        When it was first announced.
-    earliest, likely, latest : pandas.Timestamp
-        When it begins.
-    shares : OnsetShares, optional
-        The same as a distribution.
-    estimate : bool
-        Whether the length of ``message`` was said of an outage that had begun.
-    not_before : pandas.Timestamp, optional
-        Before it the grid is not back: what was last said of it, unless a length was said later.
-    notices : tuple of OutageWarning
-        Messages that said by when it is.
-    dropped : tuple of str
-        Names of the messages that this one replaces, where it has another name.
-    """
-
-    message: OutageWarning
-    first_issued: pd.Timestamp
+    message: OutageWarning  #: the last one, with what it leaves out as those before it said it
+    first_issued: pd.Timestamp  #: when it was first announced
+    #: When it begins.
     earliest: pd.Timestamp
     likely: pd.Timestamp
     latest: pd.Timestamp
-    shares: OnsetShares | None = None
+    shares: OnsetShares | None = None  #: the same as a distribution
+    #: Whether the length of ``message`` was said of an outage that had begun.
     estimate: bool = False
+    #: Before it the grid is not back: what was last said of it, unless a length was said later.
     not_before: pd.Timestamp | None = None
-    notices: tuple[OutageWarning, ...] = ()
+    notices: tuple[OutageWarning, ...] = ()  #: messages that said by when it is
+    #: Names of the messages that this one replaces, where it has another name.
     dropped: tuple[str, ...] = ()
 
     @property
@@ -153,15 +137,6 @@ class OutageOutlook:
     it. What was seen is certain: an outage that came is no
     longer waited for, and its length is longer than it has lasted.
 
-    Parameters
-    ----------
-    warnings : sequence of OutageWarning
-        All messages, in any order; those that are not issued yet change nothing.
-    statistics : OutageStatistics
-        Outages without a warning.
-    step_h : float
-        Length of a step in h.
-
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00Z")
@@ -172,9 +147,10 @@ class OutageOutlook:
     array([0. , 0. , 0.7, 0.7, 0. ])
     """
 
+    #: All messages, in any order; those that are not issued yet change nothing.
     warnings: Sequence[OutageWarning]
-    statistics: OutageStatistics
-    step_h: float
+    statistics: OutageStatistics  #: outages without a warning
+    step_h: float  #: length of a step in h
 
     def at(self, now: pd.Timestamp, n_steps: int, seen: Sequence[SeenOutage]) -> OutageBelief:
         """The belief at a step.

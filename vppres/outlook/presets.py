@@ -35,26 +35,13 @@ so in vain: an assumption, in the middle of what pays (``docs/uncertain-outages.
 
 @dataclass(frozen=True)
 class StatisticsPreset:
-    """Outages without a warning.
+    """Outages without a warning."""
 
-    Parameters
-    ----------
-    saifi_per_year : float
-        Outages of a customer in a year.
-    caidi_h : float
-        Mean length of an outage in h.
-    duration_sigma : float
-        Standard deviation of the logarithm of the length.
-    source : str
-        Where the figures come from.
-    estimate : tuple of float
-        Quantiles of the length as multiples of a lone estimate.
-    """
-
-    saifi_per_year: float
-    caidi_h: float
-    duration_sigma: float
-    source: str
+    saifi_per_year: float  #: outages of a customer in a year
+    caidi_h: float  #: mean length of an outage in h
+    duration_sigma: float  #: standard deviation of the logarithm of the length
+    source: str  #: where the figures come from
+    #: Quantiles of the length as multiples of a lone estimate.
     estimate: tuple[float, float, float] = ESTIMATE
 
 
@@ -88,26 +75,15 @@ STATISTICS: dict[str, StatisticsPreset] = {
 
 @dataclass(frozen=True)
 class WarningPreset:
-    """Assumptions for a kind of warning, where it does not say.
+    """Assumptions for a kind of warning, where it does not say."""
 
-    Parameters
-    ----------
-    probability : float
-        Probability that the outage comes to this feeder.
-    onset_spread_h : float
-        Half the width of the onset around its likely time in h.
-    p10_h, p50_h, p90_h : float
-        Quantiles of its length in h.
-    source : str
-        Where the figures come from.
-    """
-
-    probability: float
-    onset_spread_h: float
+    probability: float  #: probability that the outage comes to this feeder
+    onset_spread_h: float  #: half the width of the onset around its likely time in h
+    #: Quantiles of its length in h.
     p10_h: float
     p50_h: float
     p90_h: float
-    source: str
+    source: str  #: where the figures come from
 
 
 def _lognormal(

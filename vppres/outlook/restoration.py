@@ -16,20 +16,11 @@ from vppres.core.arrays import Floats
 
 @dataclass(frozen=True)
 class Notices:
-    """How well a crew that says that the grid will be back soon is to be believed.
+    """How well a crew that says that the grid will be back soon is to be believed."""
 
-    Parameters
-    ----------
-    share : float
-        Share of outages of which it is said in time.
-    false_share : float
-        Share of other hours in which it is said in vain.
-    lead_h : float or None
-        How long before the end it is said in h; None if nothing follows from silence.
-    """
-
-    share: float
-    false_share: float
+    share: float  #: share of outages of which it is said in time
+    false_share: float  #: share of other hours in which it is said in vain
+    #: How long before the end it is said in h; None if nothing follows from silence.
     lead_h: float | None
 
     def likelihood(

@@ -33,69 +33,37 @@ LEAST_KW = 1e-9
 
 @dataclass(frozen=True)
 class EquivalentBattery:
-    """All batteries as one.
+    """All batteries as one."""
 
-    Parameters
-    ----------
-    least_kwh, most_kwh : float
-        Energy that may be held, reserves left out.
-    p_max_kw : float
-        Largest charging and discharging power with grid.
-    p_out_kw : float
-        The same in an outage, less the headroom of those that form the grid.
-    eta_charge, eta_discharge : float
-        Mean efficiencies.
-    sets_kw : float
-        Largest power of all generating sets, which they give in an outage.
-    fuel_kwh : float
-        Energy in a battery that stands for all fuel that they have or will get.
-    kwh_each : dict
-        Energy that a unit of what each asset of a kind holds stands for, (n,) by kind.
-    """
-
+    #: Energy that may be held, reserves left out.
     least_kwh: float
     most_kwh: float
-    p_max_kw: float
-    p_out_kw: float
+    p_max_kw: float  #: largest charging and discharging power with grid
+    p_out_kw: float  #: the same in an outage, less the headroom of those that form the grid
+    #: Mean efficiencies.
     eta_charge: float
     eta_discharge: float
-    sets_kw: float = 0.0
+    sets_kw: float = 0.0  #: largest power of all generating sets, which they give in an outage
+    #: Energy in a battery that stands for all fuel that they have or will get.
     fuel_kwh: float = 0.0
+    #: Energy that a unit of what each asset of a kind holds stands for, (n,) by kind.
     kwh_each: dict[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """Expected demand, power and prices of the present step and the ``T - 1`` behind it.
+    """Expected demand, power and prices of the present step and the ``T - 1`` behind it."""
 
-    Parameters
-    ----------
-    load_kw : array, shape (T, C)
-        Demand of each customer if served.
-    pv_kw, price_gbp_per_kwh : array, shape (T,)
-        PV power of all systems, import price.
-    import_kw : array, shape (T,)
-        Largest import while there is grid, may be infinite.
-    export : Export, optional
-        What the grid takes back while it is there.
-    weight : array, shape (C,)
-        Weights of the customers.
-    lambda_curt : float
-        Weight of curtailed energy, in weighted customer hours per kWh.
-    dt_h : float
-        Length of a step in h.
-    delivered_kwh : array, shape (T,)
-        Energy in a battery that stands for the fuel that comes at the beginning of each step.
-    """
-
-    load_kw: Floats
+    load_kw: Floats  #: demand of each customer if served, (T, C)
+    #: PV power of all systems, import price, (T,).
     pv_kw: Floats
     price_gbp_per_kwh: Floats
-    import_kw: Floats
-    export: Export | None
-    weight: Floats
-    lambda_curt: float
-    dt_h: float
+    import_kw: Floats  #: largest import while there is grid, may be infinite, (T,)
+    export: Export | None  #: what the grid takes back while it is there
+    weight: Floats  #: weights of the customers, (C,)
+    lambda_curt: float  #: weight of curtailed energy, in weighted customer hours per kWh
+    dt_h: float  #: length of a step in h
+    #: Energy in a battery that stands for the fuel that comes at the beginning of each step, (T,).
     delivered_kwh: Floats
 
     @property

@@ -15,21 +15,13 @@ from vppres.scenario.network import Network
 
 @dataclass(frozen=True, eq=False)
 class Admittances:
-    """A network for 1 MVA.
+    """A network for 1 MVA."""
 
-    Attributes
-    ----------
-    bus : sparse matrix, shape (N, N)
-        Currents into the network by voltages.
-    sending, receiving : sparse matrix, shape (L, N)
-        Currents into the lines at either end.
-    from_bus, to_bus : array, shape (L,)
-        Positions of the buses at the ends.
-    """
-
-    bus: sp.csr_matrix
+    bus: sp.csr_matrix  #: currents into the network by voltages, (N, N)
+    #: Currents into the lines at either end, (L, N).
     sending: sp.csr_matrix
     receiving: sp.csr_matrix
+    #: Positions of the buses at the ends, (L,).
     from_bus: Wholes
     to_bus: Wholes
 

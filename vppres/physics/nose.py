@@ -46,29 +46,18 @@ SHORTEST, LONGEST = 1e-7, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Result of following the curve.
+    """Result of following the curve."""
 
-    Parameters
-    ----------
-    outcome : str
-        ``solved``: the flow of all injections. ``none``: the curve turned back before.
-        ``not found``: neither.
-    v : array of complex, shape (N,)
-        Voltage of every bus in pu, referred to the slack bus: the solution, else the last point of
-        the curve.
-    i : array of complex, shape (L,)
-        Current of every line in MVA per pu, positive away from the grid's bus.
-    share : float
-        The largest share of the injections that has a solution on the curve, 1 if solved.
-    mismatch_mva : array, shape (N,)
-        By what the point misses the full injections; 0 at the reference.
-    """
-
+    #: ``solved``: the flow of all injections. ``none``: the curve turned back before. ``not
+    #: found``: neither.
     outcome: Outcome
+    #: Voltage of every bus in pu, referred to the slack bus, (N,): the solution, else the last
+    #: point of the curve.
     v: Complex
-    i: Complex
+    i: Complex  #: current of every line in MVA per pu, positive away from the grid's bus, (L,)
+    #: The largest share of the injections that has a solution on the curve, 1 if solved.
     share: float
-    mismatch_mva: Floats
+    mismatch_mva: Floats  #: by what the point misses the full injections, (N,); 0 at the reference
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,21 +15,12 @@ from vppres.scenario.phases import PHASES, PhaseLine, Phases
 
 @dataclass(frozen=True, eq=False)
 class Loadings:
-    """Shares of ratings that voltages of the nodes lead to.
+    """Shares of ratings that voltages of the nodes lead to."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Lines by their ends and phase, and transformers by their coils; those that have a rating.
-    per_volt : sparse array of complex, shape (k, nodes)
-        Current over rating of each, of the voltages of the nodes in V.
-    kva : array, shape (k,)
-        What each carries at its rating and nominal voltage.
-    """
-
+    #: Lines by their ends and phase, and transformers by their coils; those that have a rating.
     names: tuple[str, ...]
-    per_volt: Any
-    kva: Floats
+    per_volt: Any  #: current over rating of each, of the voltages of the nodes in V, (k, nodes)
+    kva: Floats  #: what each carries at its rating and nominal voltage, (k,)
 
     @classmethod
     def of(cls, phases: Phases) -> Loadings:

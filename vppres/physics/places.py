@@ -19,25 +19,15 @@ class Places:
     Places of a balanced feeder are its buses. Those of a feeder with phases are, behind the grid's,
     its devices themselves, as each has coils and a load model of its own: customers, PV systems,
     batteries, then the units of each kind.
-
-    Parameters
-    ----------
-    customers, pv, batteries : array, shape (C,), (P,), (B,)
-        Place of each.
-    units : mapping
-        Place of each unit, (n,) by kind.
-    bus : array, shape (places,)
-        Position of the network's bus of each place.
-    n_buses : int
-        Buses of the network.
     """
 
+    #: Place of each, (C,), (P,), (B,).
     customers: Wholes
     pv: Wholes
     batteries: Wholes
-    units: Mapping[str, Wholes]
-    bus: Wholes
-    n_buses: int
+    units: Mapping[str, Wholes]  #: place of each unit, (n,) by kind
+    bus: Wholes  #: position of the network's bus of each place, (places,)
+    n_buses: int  #: buses of the network
 
     @classmethod
     def of(cls, site: Any) -> Places:

@@ -70,54 +70,37 @@ class NotFoundError(VerificationError):
 
 @dataclass(frozen=True, eq=False)
 class ACResult:
-    """One AC power flow; the arrays are read-only.
+    """One AC power flow; the arrays are read-only."""
 
-    Parameters
-    ----------
-    v_pu : array, shape (N,)
-        Voltage magnitude, in the network's bus order.
-    p_from_kw, q_from_kvar : array, shape (L,)
-        Flow at the sending end of each line, positive away from the network's slack bus. The
-        line's own charging is not in it: it stands at the buses.
-    p_to_kw, q_to_kvar : array, shape (L,)
-        Flow that arrives at the receiving end, positive away from the network's slack bus.
-    losses_kw : float
-        Active losses of all lines, and what leakage and shunts draw.
-    p_slack_kw, q_slack_kvar : float
-        What the source at the reference place gives: the import, unless an island was solved.
-    v_node_pu : array, shape (m,)
-        Voltages that have limits: of nodes or between them, of the buses where these are the nodes.
-    nodes : tuple
-        Bus and phase, or pair of phases, of each of them; empty on a balanced feeder.
-    source_kva : array of complex, shape (3,) or (1,)
-        What the reference place gives on each phase, source and devices; in all if balanced.
-    phases : str
-        The source's phases; empty on a balanced feeder.
-    unbalance : float
-        Largest unbalance factor of any bus with three phases; NaN on a balanced feeder.
-    loading, loading_at : float and str
-        Largest current of a phase as a share of the rating of its line or transformer, and where;
-        NaN on a balanced feeder.
-    converged : bool
-        Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
-        in ``NotFoundError.best``.
-    """
-
-    v_pu: Floats
+    v_pu: Floats  #: voltage magnitude, in the network's bus order, (N,)
+    #: Flow at the sending end of each line, positive away from the network's slack bus, (L,). The
+    #: line's own charging is not in it: it stands at the buses.
     p_from_kw: Floats
     q_from_kvar: Floats
+    #: Flow that arrives at the receiving end, positive away from the network's slack bus, (L,).
     p_to_kw: Floats
     q_to_kvar: Floats
-    losses_kw: float
+    losses_kw: float  #: active losses of all lines, and what leakage and shunts draw
+    #: What the source at the reference place gives: the import, unless an island was solved.
     p_slack_kw: float
     q_slack_kvar: float
+    #: Voltages that have limits, (m,): of nodes or between them, of the buses where these are the
+    #: nodes.
     v_node_pu: Floats
+    #: What the reference place gives on each phase, source and devices, (3,) or (1,); in all if
+    #: balanced.
     source_kva: Complexes
+    #: Bus and phase, or pair of phases, of each of them; empty on a balanced feeder.
     nodes: tuple[tuple[str, str], ...] = ()
-    phases: str = ""
+    phases: str = ""  #: the source's phases; empty on a balanced feeder
+    #: Largest unbalance factor of any bus with three phases; NaN on a balanced feeder.
     unbalance: float = np.nan
+    #: Largest current of a phase as a share of the rating of its line or transformer, and where;
+    #: NaN on a balanced feeder.
     loading: float = np.nan
     loading_at: str = ""
+    #: Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
+    #: in ``NotFoundError.best``.
     converged: bool = True
 
     def __post_init__(self) -> None:

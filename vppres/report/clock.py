@@ -19,11 +19,6 @@ _DATE = len("19 Jul ")
 class Clock:
     """Times in words.
 
-    Parameters
-    ----------
-    grid : TimeGrid
-        Its zone is that of the clocks on the site; UTC where the scenario names none.
-
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00:00Z")
@@ -33,7 +28,7 @@ class Clock:
     '19 Jul 13:00 BST'
     """
 
-    grid: TimeGrid
+    grid: TimeGrid  #: its zone is that of the clocks on the site; UTC where the scenario names none
 
     @classmethod
     def of(cls, run: Trajectory) -> Clock:

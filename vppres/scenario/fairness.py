@@ -24,20 +24,12 @@ PARTS = 20
 
 @dataclass(frozen=True)
 class Fairness:
-    """How supply is shared within a tier; nothing is by default.
+    """How supply is shared within a tier; nothing is by default."""
 
-    Parameters
-    ----------
-    rotation : float
-        Growth of a customer's weight with each hour off supply in outages, in 1/h.
-    turn_h : float
-        Hours of an outage for which weights stay.
-    minimum_on_h : float
-        Hours that each customer is on in 24 h of outage, unless a higher tier loses supply by it.
-    """
-
+    #: Growth of a customer's weight with each hour off supply in outages, in 1/h.
     rotation: float = default_of("rotation")
-    turn_h: float = default_of("turn_h")
+    turn_h: float = default_of("turn_h")  #: hours of an outage for which weights stay
+    #: Hours that each customer is on in 24 h of outage, unless a higher tier loses supply by it.
     minimum_on_h: float = default_of("minimum_on_h")
 
 

@@ -19,19 +19,6 @@ HISTORY = "history"
 class History:
     """Measured series of ``n`` equal steps, NaN where nothing is known; ``n`` may be 0.
 
-    Parameters
-    ----------
-    start : pandas.Timestamp
-        Beginning of the first step, with time zone.
-    step_minutes : float
-        Step length in minutes.
-    load_kw : array, shape (n, C)
-        Demand of each customer.
-    pv_kw : array, shape (n, P)
-        Available power of each PV system.
-    zone : str
-        Time zone of the clocks that people live by.
-
     Examples
     --------
     >>> day = pd.Timestamp("2022-07-18", tz="UTC")
@@ -40,11 +27,11 @@ class History:
     ('2022-07-19T00:00:00+00:00', 5)
     """
 
-    start: pd.Timestamp
-    step_minutes: float
-    load_kw: Floats
-    pv_kw: Floats
-    zone: str = UTC
+    start: pd.Timestamp  #: beginning of the first step, with time zone
+    step_minutes: float  #: step length in minutes
+    load_kw: Floats  #: demand of each customer, (n, C)
+    pv_kw: Floats  #: available power of each PV system, (n, P)
+    zone: str = UTC  #: time zone of the clocks that people live by
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

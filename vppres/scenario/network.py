@@ -54,40 +54,6 @@ class Network:
     In a tree every bus has one cumulative ratio to the slack bus. Voltages over it are *referred*
     to the slack bus: in them no line has a ratio, and impedances, shunts and limits change instead.
 
-    Parameters
-    ----------
-    from_bus, to_bus : array of bus identifiers, shape (L,)
-        Ends of each line; integers or strings.
-    r_ohm, x_ohm : array, shape (L,)
-        Series impedance; a reactance may be negative, as in a star of three windings.
-    i_max_a : array, shape (L,), optional
-        Thermal rating; infinite where a line has none. It is reported, not held.
-    ratio : array, shape (L,), optional
-        Voltage in pu at ``from_bus`` over that at ``to_bus`` at no load, 1 if not given.
-    b_us, g_us : array, shape (L,), optional
-        Charging susceptance and leakage conductance of the whole line in microsiemens, half at
-        each end; 0 if not given.
-    drawing_bus : array of bus identifiers, shape (D,), optional
-        Buses that draw power that no customer owns; afterwards all buses, shape (N,).
-    p_shunt_kw, q_shunt_kvar : array, shape (D,), optional
-        Constant admittance at these buses as the power that it draws at 1 pu, line charging left
-        out; a capacitor's is negative.
-    p_fixed_kw, q_fixed_kvar : array, shape (D,), optional
-        Constant power drawn there.
-    island : array of bool, shape (D,), optional
-        Whether the shunts at these buses stay connected in an island; all do if not given. One row
-        of a bus that says no switches off all shunts of the bus.
-    slack_bus : int or str
-        Bus of the grid connection.
-    base_kv : float
-        Nominal line-to-line voltage in kV.
-    v_slack_pu : float
-        Voltage of the slack bus.
-    v_min_pu, v_max_pu : float
-        Limits that the optimisation holds (paper, Parameter Selection).
-    v_min_ac_pu, v_max_ac_pu : float
-        Limits that the AC voltages must hold (GB SQSS: 0.94).
-
     Raises
     ------
     InputError
@@ -107,26 +73,40 @@ class Network:
     ([0.9524], [1.0, 1.05])
     """
 
+    #: Ends of each line, (L,); integers or strings.
     from_bus: Names
     to_bus: Names
+    #: Series impedance, (L,); a reactance may be negative, as in a star of three windings.
     r_ohm: Floats
     x_ohm: Floats
-    slack_bus: BusId
-    base_kv: float
-    v_slack_pu: float = 1.0
+    slack_bus: BusId  #: bus of the grid connection
+    base_kv: float  #: nominal line-to-line voltage in kV
+    v_slack_pu: float = 1.0  #: voltage of the slack bus
+    #: Limits that the optimisation holds (paper, Parameter Selection).
     v_min_pu: float = 0.947
     v_max_pu: float = 1.053
+    #: Limits that the AC voltages must hold (GB SQSS: 0.94).
     v_min_ac_pu: float = 0.94
     v_max_ac_pu: float = 1.06
+    #: Thermal rating, (L,); infinite where a line has none. It is reported, not held.
     i_max_a: Floats = field(default_factory=no_items)
+    #: Voltage in pu at ``from_bus`` over that at ``to_bus`` at no load, 1 if not given, (L,).
     ratio: Floats = field(default_factory=no_items)
+    #: Charging susceptance and leakage conductance of the whole line in microsiemens, half at each
+    #: end, (L,); 0 if not given.
     b_us: Floats = field(default_factory=no_items)
     g_us: Floats = field(default_factory=no_items)
+    #: Buses that draw power that no customer owns, (D,); afterwards all buses, shape (N,).
     drawing_bus: Names = field(default_factory=no_items)
+    #: Constant admittance at these buses as the power that it draws at 1 pu, line charging left
+    #: out, (D,); a capacitor's is negative.
     p_shunt_kw: Floats = field(default_factory=no_items)
     q_shunt_kvar: Floats = field(default_factory=no_items)
+    #: Constant power drawn there, (D,).
     p_fixed_kw: Floats = field(default_factory=no_items)
     q_fixed_kvar: Floats = field(default_factory=no_items)
+    #: Whether the shunts at these buses stay connected in an island, (D,); all do if not given. One
+    #: row of a bus that says no switches off all shunts of the bus.
     island: Flags = field(default_factory=no_items)
     buses: Names = field(init=False)
     parent: Wholes = field(init=False)

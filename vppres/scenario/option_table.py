@@ -24,25 +24,19 @@ Value = str | float | int | bool
 class NumberRange:
     """Numbers that an option takes; infinity and NaN are in none.
 
-    Parameters
-    ----------
-    least, most : float
-        Bounds, which belong to the range unless it is open there.
-    message, cure : str
-        What to say of a number outside.
-    open_least, open_most : bool
-        Whether the bound itself is outside.
-
     Examples
     --------
     >>> [RANGES["positive"].holds(number) for number in (0.0, float("nan"), 0.1)]
     [False, False, True]
     """
 
+    #: Bounds, which belong to the range unless it is open there.
     least: float
     most: float
+    #: What to say of a number outside.
     message: str
     cure: str
+    #: Whether the bound itself is outside.
     open_least: bool = False
     open_most: bool = False
 
@@ -91,72 +85,32 @@ _KINDS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Option:
-    """One option of a run.
+    """One option of a run."""
 
-    Parameters
-    ----------
-    name : str
-        Name on the command line without its hyphens in front, and of a sweep's parameter.
-    field : str
-        Field of ``RunOptions`` that it fills; ``group.field`` for one of a group in it.
-    kind : type
-        ``str``, ``float``, ``int`` or ``bool``.
-    default : str, float, int, bool or None
-        Value where neither the command line nor a scenario says otherwise.
-    meaning : str
-        What it is, as a phrase that can begin a sentence; of a switch, what it does.
-    words : str
-        The choices in words, where their names do not say enough.
-    page : str
-        What the documentation adds, in Markdown.
-    unit : str
-        Unit, if it has one.
-    choices : tuple of str
-        Words that it takes; empty for numbers, and for names that another table checks.
-    hidden : tuple of str
-        Words that it takes besides, for studies; neither offered nor documented.
-    range : NumberRange, optional
-        Numbers that it takes.
-    unset : str
-        What None means.
-    group : str
-        Heading in the help.
-    scenario_key : str
-        Key of scenario.toml that sets it, ``section.key``; empty if a scenario cannot.
-    follows_scenario : bool
-        Whether it is the scenario's in Python too, unless it is given there.
-    file_most : float
-        Largest number that scenario.toml may hold.
-    command_line : bool
-        Whether ``run`` and ``sweep`` have it; Python always has.
-    sweep : bool
-        Whether a sweep can vary it.
-    live : bool
-        Whether it has a meaning for a live controller, whose plant is the site.
-    usual : bool
-        Whether ``--help`` shows it; ``--help-all`` shows all.
-    """
-
-    name: str
-    field: str
-    kind: type
-    default: Value | None
-    meaning: str
-    words: str = ""
-    page: str = ""
-    unit: str = ""
+    name: str  #: name on the command line without its hyphens in front, and of a sweep's parameter
+    field: str  #: field of ``RunOptions`` that it fills; ``group.field`` for one of a group in it
+    kind: type  #: ``str``, ``float``, ``int`` or ``bool``
+    default: Value | None  #: value where neither the command line nor a scenario says otherwise
+    meaning: str  #: what it is, as a phrase that can begin a sentence; of a switch, what it does
+    words: str = ""  #: the choices in words, where their names do not say enough
+    page: str = ""  #: what the documentation adds, in Markdown
+    unit: str = ""  #: unit, if it has one
+    #: Words that it takes; empty for numbers, and for names that another table checks.
     choices: tuple[str, ...] = ()
+    #: Words that it takes besides, for studies; neither offered nor documented.
     hidden: tuple[str, ...] = ()
-    range: NumberRange | None = None
-    unset: str = ""
-    group: str = ""
+    range: NumberRange | None = None  #: numbers that it takes
+    unset: str = ""  #: what None means
+    group: str = ""  #: heading in the help
+    #: Key of scenario.toml that sets it, ``section.key``; empty if a scenario cannot.
     scenario_key: str = ""
+    #: Whether it is the scenario's in Python too, unless it is given there.
     follows_scenario: bool = False
-    file_most: float = inf
-    command_line: bool = True
-    sweep: bool = True
-    live: bool = True
-    usual: bool = False
+    file_most: float = inf  #: largest number that scenario.toml may hold
+    command_line: bool = True  #: whether ``run`` and ``sweep`` have it; Python always has
+    sweep: bool = True  #: whether a sweep can vary it
+    live: bool = True  #: whether it has a meaning for a live controller, whose plant is the site
+    usual: bool = False  #: whether ``--help`` shows it; ``--help-all`` shows all
 
     @property
     def run_default(self) -> Value | None:

@@ -25,15 +25,6 @@ WARNING_PRESETS = ("", "announced", "rota", "psps", "wind", "heat")
 class OnsetShares:
     """Onset of an outage if it comes: the probability of each of some equal intervals.
 
-    Parameters
-    ----------
-    start : pandas.Timestamp
-        Beginning of the first interval, with time zone.
-    interval_h : float
-        Length of each in h; within one, no moment is likelier than another.
-    probability : tuple of float
-        Of each; together 1.
-
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00Z")
@@ -41,9 +32,9 @@ class OnsetShares:
     array([0.  , 0.25, 0.75])
     """
 
-    start: pd.Timestamp
-    interval_h: float
-    probability: tuple[float, ...]
+    start: pd.Timestamp  #: beginning of the first interval, with time zone
+    interval_h: float  #: length of each in h; within one, no moment is likelier than another
+    probability: tuple[float, ...]  #: of each; together 1
 
     @property
     def end(self) -> pd.Timestamp:
@@ -65,26 +56,16 @@ class OnsetShares:
 
 @dataclass(frozen=True)
 class OutageLength:
-    """How long an outage lasts, as a distribution.
+    """How long an outage lasts, as a distribution."""
 
-    Parameters
-    ----------
-    family : {"lognormal", "weibull", "discrete"}
-        What kind of distribution.
-    scale_h, shape : float
-        Median in h and standard deviation of the logarithm; or scale and shape.
-    hours, probability : tuple of float
-        Each length that there is, and how likely it is.
-    max_h : float
-        What is longer counts as this.
-    """
-
-    family: str
+    family: str  #: what kind of distribution
+    #: Median in h and standard deviation of the logarithm; or scale and shape.
     scale_h: float = 1.0
     shape: float = 1.0
+    #: Each length that there is, and how likely it is.
     hours: tuple[float, ...] = ()
     probability: tuple[float, ...] = ()
-    max_h: float = np.inf
+    max_h: float = np.inf  #: what is longer counts as this
 
 
 TIMES = (

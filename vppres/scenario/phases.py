@@ -169,17 +169,13 @@ class PhaseConnection:
 class Phases:
     """The three phases of a feeder; without any row, and false, those of a balanced one.
 
-    Parameters
-    ----------
-    buses, lines, transformers, shunts, connections : tuple
-        Rows of the tables. The first bus is the source's, with all three phases.
-
     Raises
     ------
     InputError
         If a row names a bus or phase that there is not, or the source does not reach a phase.
     """
 
+    #: Rows of the tables. The first bus is the source's, with all three phases.
     buses: tuple[PhaseBus, ...] = ()
     lines: tuple[PhaseLine, ...] = ()
     transformers: tuple[PhaseTransformer, ...] = ()

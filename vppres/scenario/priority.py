@@ -30,30 +30,16 @@ PARTS = 100
 
 @dataclass(frozen=True, eq=False)
 class Ranks:
-    """Tiers in strict order, and what each customer counts in its own.
+    """Tiers in strict order, and what each customer counts in its own."""
 
-    Parameters
-    ----------
-    tiers : tuple of str
-        Names, the most important first.
-    tier : array of int, shape (C,)
-        Position of each customer's tier.
-    units : array of int, shape (C,)
-        What a customer counts in its tier: 1, or its share where weights of a tier differ.
-    worth : array, shape (K,)
-        Weight of a unit of each tier; 1 for the last.
-    actions : float
-        What all actions of a window cost at most, in units of the last tier.
-    hour_beyond : array, shape (C,)
-        Price of an hour beyond the longest time off of those that have one: as many hours off as
-        the tier has customers, or as leave a unit of the tier above worth more than all of it.
-    """
-
-    tiers: tuple[str, ...]
-    tier: Wholes
+    tiers: tuple[str, ...]  #: names, the most important first
+    tier: Wholes  #: position of each customer's tier, (C,)
+    #: What a customer counts in its tier, (C,): 1, or its share where weights of a tier differ.
     units: Wholes
-    worth: Floats
-    actions: float = 0.0
+    worth: Floats  #: weight of a unit of each tier, (K,); 1 for the last
+    actions: float = 0.0  #: what all actions of a window cost at most, in units of the last tier
+    #: Price of an hour beyond the longest time off of those that have one, (C,): as many hours off
+    #: as the tier has customers, or as leave a unit of the tier above worth more than all of it.
     hour_beyond: Floats = field(default_factory=lambda: np.zeros(0))
 
     @classmethod

@@ -51,24 +51,12 @@ REPORT = "report"
 
 @dataclass(frozen=True)
 class ObjectiveWeights:
-    """Weights of the objective (paper, Parameter Selection); powers in kW.
+    """Weights of the objective (paper, Parameter Selection); powers in kW."""
 
-    Parameters
-    ----------
-    lambda_grid : float
-        Per GBP of grid import.
-    lambda_curt : float
-        Per kW of curtailed PV power.
-    lambda_l : float
-        Per ohm kVA² of branch flow.
-    lambda_q : float
-        Per squared utilisation of a device's inverter by reactive power.
-    """
-
-    lambda_grid: float = 1e-6
-    lambda_curt: float = 0.1
-    lambda_l: float = 1e-14
-    lambda_q: float = 1e-15
+    lambda_grid: float = 1e-6  #: per GBP of grid import
+    lambda_curt: float = 0.1  #: per kW of curtailed PV power
+    lambda_l: float = 1e-14  #: per ohm kVA² of branch flow
+    lambda_q: float = 1e-15  #: per squared utilisation of a device's inverter by reactive power
 
 
 @dataclass(frozen=True)

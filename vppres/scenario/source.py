@@ -30,20 +30,11 @@ def difference_words(value_pu: float) -> str:
 
 @dataclass(frozen=True)
 class SourceDeviation:
-    """Largest difference of a bus voltage from the AC power flow of the source, in three states.
+    """Largest difference of a bus voltage from the AC power flow of the source, in three states."""
 
-    Parameters
-    ----------
-    no_load_pu : float, optional
-        Without loads and generators; None where it is not known.
-    as_given_pu : float, optional
-        With the loads and generators that the source gives.
-    worst_hour_pu : float, optional
-        In the hour of the series in which the voltages differ most.
-    """
-
-    no_load_pu: float | None = None
-    as_given_pu: float | None = None
+    no_load_pu: float | None = None  #: without loads and generators; None where it is not known
+    as_given_pu: float | None = None  #: with the loads and generators that the source gives
+    #: In the hour of the series in which the voltages differ most.
     worst_hour_pu: float | None = None
 
     @property
@@ -74,29 +65,17 @@ class SourceDeviation:
 class Source:
     """The network that a scenario was made from; empty for one that was written by hand.
 
-    Parameters
-    ----------
-    name : str
-        Name of the network or its file.
-    kind : str
-        Which tool's it is, for example ``pandapower`` or ``OpenDSS``.
-    notes : tuple of str
-        What was simplified, left out or drawn, one sentence each.
-    deviation : SourceDeviation
-        How far its voltages are from the source's.
-    unbalanced : str
-        What of the source is not balanced, and is spread over three phases here; empty if nothing.
-
     Examples
     --------
     >>> Source("case33bw", "pandapower").heading
     'Made from case33bw (pandapower).'
     """
 
-    name: str = ""
-    kind: str = ""
-    notes: tuple[str, ...] = ()
-    deviation: SourceDeviation = SourceDeviation()
+    name: str = ""  #: name of the network or its file
+    kind: str = ""  #: which tool's it is, for example ``pandapower`` or ``OpenDSS``
+    notes: tuple[str, ...] = ()  #: what was simplified, left out or drawn, one sentence each
+    deviation: SourceDeviation = SourceDeviation()  #: how far its voltages are from the source's
+    #: What of the source is not balanced, and is spread over three phases here; empty if nothing.
     unbalanced: str = ""
 
     def __post_init__(self) -> None:

@@ -30,18 +30,6 @@ def is_zone(name: str) -> bool:
 class TimeGrid:
     """Equidistant steps; step ``t`` covers ``[start + t step, start + (t + 1) step)``.
 
-    Parameters
-    ----------
-    start : pandas.Timestamp
-        Beginning of step 0, with time zone.
-    step_minutes : float
-        Step length in minutes.
-    n_steps : int
-        Number of steps.
-    zone : str
-        Name of the time zone in which people on the feeder read their clocks, for example
-        ``Europe/London``. Steps are equally long in it too: a day may have 23 or 25 hours.
-
     Examples
     --------
     >>> grid = TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60, 24)
@@ -49,9 +37,11 @@ class TimeGrid:
     (1.0, [21, 22, 23])
     """
 
-    start: pd.Timestamp
-    step_minutes: float
-    n_steps: int
+    start: pd.Timestamp  #: beginning of step 0, with time zone
+    step_minutes: float  #: step length in minutes
+    n_steps: int  #: number of steps
+    #: Name of the time zone in which people on the feeder read their clocks, for example
+    #: ``Europe/London``. Steps are equally long in it too: a day may have 23 or 25 hours.
     zone: str = UTC
 
     def __post_init__(self) -> None:

@@ -39,17 +39,11 @@ class Denied(Exception):
 
 @dataclass(frozen=True)
 class Access:
-    """Tokens of a service.
+    """Tokens of a service."""
 
-    Parameters
-    ----------
-    tokens : sequence of Token
-        Who may come in; if there are none every sender may do everything.
-    now : callable, optional
-        Seconds of UTC; the machine's clock, whatever the site's shows.
-    """
-
+    #: Who may come in; if there are none every sender may do everything.
     tokens: Sequence[Token] = ()
+    #: Seconds of UTC; the machine's clock, whatever the site's shows.
     now: Callable[[], float] = time.time
 
     def known(self, authorization: str | None) -> Token | None:

@@ -38,36 +38,17 @@ class LastReadings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """Stored state of a site's devices when a step is decided.
+    """Stored state of a site's devices when a step is decided."""
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The site.
-    time : pandas.Timestamp
-        The step.
-    readings : LastReadings
-        The last readings.
-    means : mapping
-        Means since the last decision, by quantity and asset.
-    decided_at : pandas.Timestamp
-        When the controller decided last.
-    plans : list of dict
-        Plans since then.
-    at : pandas.Timestamp
-        The moment of the decision.
-    store : Store
-        Where it is stored.
-    """
-
-    scenario: Scenario
-    time: pd.Timestamp
-    readings: LastReadings
+    scenario: Scenario  #: the site
+    time: pd.Timestamp  #: the step
+    readings: LastReadings  #: the last readings
+    #: Means since the last decision, by quantity and asset.
     means: Mapping[str, Mapping[str, float]]
-    decided_at: pd.Timestamp
-    plans: Sequence[Plan]
-    at: pd.Timestamp
-    store: Store
+    decided_at: pd.Timestamp  #: when the controller decided last
+    plans: Sequence[Plan]  #: plans since then
+    at: pd.Timestamp  #: the moment of the decision
+    store: Store  #: where it is stored
 
 
 class OfKind:

@@ -58,25 +58,15 @@ LATEST_STEPS = 3
 
 @dataclass(frozen=True)
 class TelemetryFaults:
-    """Faults of readings on their way.
+    """Faults of readings on their way."""
 
-    Parameters
-    ----------
-    lost, delayed : float
-        Share that never arrives, and that arrives one to three steps late.
-    skew_s : float
-        By how much clocks are off: half of the sources are ahead, the others behind.
-    repeats : bool
-        Whether everything is sent twice.
-    seed : int
-        Of the draws.
-    """
-
+    #: Share that never arrives, and that arrives one to three steps late.
     lost: float = 0.0
     delayed: float = 0.0
+    #: By how much clocks are off: half of the sources are ahead, the others behind.
     skew_s: float = 0.0
-    repeats: bool = False
-    seed: int = 0
+    repeats: bool = False  #: whether everything is sent twice
+    seed: int = 0  #: of the draws
 
 
 class Way:
@@ -116,58 +106,33 @@ class Way:
 
 @dataclass(frozen=True)
 class Play:
-    """How a scenario is played.
+    """How a scenario is played."""
 
-    Parameters
-    ----------
-    speed : float
-        Simulated over real time; 0 is as fast as steps are decided.
-    notice_h : float
-        How long before it begins an outage is announced, in h.
-    announced : bool
-        Whether outages are announced at all: in a rehearsal the service knows them.
-    faults : TelemetryFaults
-        What happens to readings.
-    beliefs : bool
-        Whether a scenario's own warnings are announced, as they are issued, instead of what comes.
-    """
-
-    speed: float = 0.0
-    notice_h: float = 24.0
+    speed: float = 0.0  #: simulated over real time; 0 is as fast as steps are decided
+    notice_h: float = 24.0  #: how long before it begins an outage is announced, in h
+    #: Whether outages are announced at all: in a rehearsal the service knows them.
     announced: bool = True
-    faults: TelemetryFaults = field(default_factory=TelemetryFaults)
+    faults: TelemetryFaults = field(default_factory=TelemetryFaults)  #: what happens to readings
+    #: Whether a scenario's own warnings are announced, as they are issued, instead of what comes.
     beliefs: bool = False
 
 
 @dataclass
 class Tally:
-    """Counts of the simulation so far.
+    """Counts of the simulation so far."""
 
-    Parameters
-    ----------
-    statuses : Counter
-        Steps by what became of them; ``missed`` where the machine was too slow for the speed.
-    answers_s : list of float
-        How long each step's answer took, and
-    overheads_s : list of float
-        how much of it no solver took.
-    estimated, refused : int
-        Words of estimates in plans, and readings that the service did not take.
-    off, off_needlessly : int
-        Customers of the first tier times steps that were off, and those of them that the step's
-        energy allowed.
-    gate : int
-        Set-points that the service held back.
-    """
-
+    #: Steps by what became of them; ``missed`` where the machine was too slow for the speed.
     statuses: Counter[str] = field(default_factory=Counter)
-    answers_s: list[float] = field(default_factory=list)
-    overheads_s: list[float] = field(default_factory=list)
+    answers_s: list[float] = field(default_factory=list)  #: how long each step's answer took, and
+    overheads_s: list[float] = field(default_factory=list)  #: how much of it no solver took
+    #: Words of estimates in plans, and readings that the service did not take.
     estimated: int = 0
     refused: int = 0
+    #: Customers of the first tier times steps that were off, and those of them that the step's
+    #: energy allowed.
     off: int = 0
     off_needlessly: int = 0
-    gate: int = 0
+    gate: int = 0  #: set-points that the service held back
 
     def heard(self, plan: dict[str, Any], seconds: float) -> None:
         """An answer to a step."""

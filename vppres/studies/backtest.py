@@ -80,26 +80,19 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Backtest:
-    """Scores of all forecasts: N issues, W steps.
-
-    Parameters
-    ----------
-    scores : mapping of (name, quantity) to array
-        ``crps``, ``climatology`` and ``weekly`` (the references' CRPS), ``each`` (mean CRPS of the
-        single items), ``pit``, ``width 0.8`` and ``held 0.8`` of each interval, (N, W); ``energy
-        6 0.8``, whether the interval of the energy of the first hours held, and ``paths``, the
-        energy scores of forecast and climatology, (N,) and (N, 2). NaN where something is not
-        known, or PV at night.
-    bases : list of str
-        What each forecast rested on.
-    """
+    """Scores of all forecasts: N issues, W steps."""
 
     history: History
     plan: Plan
     forecaster: str
     issues: pd.DatetimeIndex
+    #: ``crps``, ``climatology`` and ``weekly`` (the references' CRPS), ``each`` (mean CRPS of the
+    #: single items), ``pit``, ``width 0.8`` and ``held 0.8`` of each interval, (N, W); ``energy 6
+    #: 0.8``, whether the interval of the energy of the first hours held, and ``paths``, the energy
+    #: scores of forecast and climatology, (N,) and (N, 2). NaN where something is not known, or PV
+    #: at night.
     scores: dict[tuple[str, str], Floats]
-    bases: list[str]
+    bases: list[str]  #: what each forecast rested on
     last: LoadAndPV
 
     @cached_property

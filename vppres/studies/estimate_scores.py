@@ -30,23 +30,15 @@ QUANTILES = {"estimate_p10": 0.1, "estimate_p50": 0.5, "estimate_p90": 0.9}
 
 @dataclass(frozen=True, eq=False)
 class EstimateScores:
-    """Estimates made during outages, and the ends that came.
+    """Estimates made during outages, and the ends that came."""
 
-    Parameters
-    ----------
-    estimates : DataFrame
-        One row for each estimate: number of its ``outage``, hours ``after_h`` since it began,
-        length ``said_h``, and ``ratio`` of the outage's length to it.
-    notices : DataFrame
-        One row for each outage with any notice: whether the last one was ``right``, hours
-        ``lead_h`` from it to the end, and the number of those given in ``vain``.
-    hours : float
-        Length of these outages together in h.
-    """
-
+    #: One row for each estimate: number of its ``outage``, hours ``after_h`` since it began, length
+    #: ``said_h``, and ``ratio`` of the outage's length to it.
     estimates: pd.DataFrame
+    #: One row for each outage with any notice: whether the last one was ``right``, hours ``lead_h``
+    #: from it to the end, and the number of those given in ``vain``.
     notices: pd.DataFrame
-    hours: float
+    hours: float  #: length of these outages together in h
 
     @classmethod
     def of(cls, warnings: Iterable[OutageWarning], outages: Sequence[SeenOutage]) -> EstimateScores:

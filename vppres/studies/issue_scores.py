@@ -29,24 +29,12 @@ DAYLIGHT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Issued:
-    """One quantity of an issue.
+    """One quantity of an issue."""
 
-    Parameters
-    ----------
-    paths : mapping of str to array, shape (M, W)
-        Of the forecast and of each reference, in kW.
-    came : array, shape (W,)
-        What came, in kW; NaN where it is not known.
-    counts : array of bool, shape (W,)
-        Steps at which something had to be forecast: PV at night has not.
-    dt_h : float
-        Length of a step.
-    """
-
-    paths: Mapping[str, Floats]
-    came: Floats
-    counts: Flags
-    dt_h: float
+    paths: Mapping[str, Floats]  #: of the forecast and of each reference, in kW, (M, W)
+    came: Floats  #: what came, in kW, (W,); NaN where it is not known
+    counts: Flags  #: steps at which something had to be forecast, (W,): PV at night has not
+    dt_h: float  #: length of a step
 
     def scores(self) -> Iterator[tuple[str, Any]]:
         """Names and values of its scores, (W,) unless they are of an energy or of whole paths."""

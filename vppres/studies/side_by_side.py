@@ -42,21 +42,16 @@ PATIENCE_S = 30.0
 class Where:
     """Processes or cluster on which jobs run.
 
-    Parameters
-    ----------
-    processes : int, optional
-        Jobs at a time on this machine; -1 or nothing is one for each core.
-    scheduler : str, optional
-        Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used instead of
-        joblib; ``local`` starts one on this machine, with as many workers as ``processes`` says.
-
     Examples
     --------
     >>> Where(3).count
     3
     """
 
+    #: Jobs at a time on this machine; -1 or nothing is one for each core.
     processes: int | None = None
+    #: Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used instead of
+    #: joblib; ``local`` starts one on this machine, with as many workers as ``processes`` says.
     scheduler: str | None = None
 
     @property

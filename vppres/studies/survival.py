@@ -54,25 +54,15 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class Tried:
-    """Choice of the outages that are tried.
+    """Choice of the outages that are tried."""
 
-    Parameters
-    ----------
-    lengths_h : tuple of float
-        Lengths in h, ascending.
-    onsets : int
-        How many beginnings; all steps where there are no more, else drawn with ``seed``.
-    charged : float, optional
-        State of charge of all batteries when an outage begins; that of operation without outages
-        if not given.
-    seed : int
-        Of the drawing.
-    """
-
-    lengths_h: tuple[float, ...]
+    lengths_h: tuple[float, ...]  #: lengths in h, ascending
+    #: How many beginnings; all steps where there are no more, else drawn with ``seed``.
     onsets: int = ONSETS
+    #: State of charge of all batteries when an outage begins; that of operation without outages if
+    #: not given.
     charged: float | None = None
-    seed: int = 0
+    seed: int = 0  #: of the drawing
 
     def __post_init__(self) -> None:
         for wrong, field, value, cure in (
@@ -96,27 +86,18 @@ class Tried:
 
 @dataclass(frozen=True)
 class OutageOutcome:
-    """Supply of customers in an outage.
+    """Supply of customers in an outage."""
 
-    Parameters
-    ----------
-    onset, steps : int
-        The step in which it begins, and its length.
-    kept, supplied : list of int
-        Steps that each customer kept supply until it first lost a part of it, and all steps in
-        which it had supply.
-    together : list of int
-        Steps in which all customers of a tier had supply, for each tier of the scenario.
-    unserved_kwh : float
-        Demand that was not supplied in it.
-    """
-
+    #: The step in which it begins, and its length.
     onset: int
     steps: int
+    #: Steps that each customer kept supply until it first lost a part of it, and all steps in which
+    #: it had supply.
     kept: list[int]
     supplied: list[int]
+    #: Steps in which all customers of a tier had supply, for each tier of the scenario.
     together: list[int]
-    unserved_kwh: float
+    unserved_kwh: float  #: demand that was not supplied in it
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,23 +45,13 @@ class WarnedOutage:
 
 @dataclass(frozen=True, eq=False)
 class WarningScores:
-    """Warnings of many outages and what came of them.
+    """Warnings of many outages and what came of them."""
 
-    Parameters
-    ----------
-    pairs : tuple of WarnedOutage
-        One for each announced outage, with the last message before it began or could have begun.
-    unannounced : tuple of SeenOutage
-        Outages that no message spoke of before they began.
-    late : int
-        Outages first announced when they had begun or could no longer begin; they score nothing.
-    restoration : EstimateScores
-        What was said while outages lasted.
-    """
-
+    #: One for each announced outage, with the last message before it began or could have begun.
     pairs: tuple[WarnedOutage, ...]
-    unannounced: tuple[SeenOutage, ...]
-    restoration: EstimateScores
+    unannounced: tuple[SeenOutage, ...]  #: outages that no message spoke of before they began
+    restoration: EstimateScores  #: what was said while outages lasted
+    #: Outages first announced when they had begun or could no longer begin; they score nothing.
     late: int = 0
 
     @classmethod

@@ -181,7 +181,7 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     slack = within.power_kw + within.power_share * b.s_max_kva
     powers = (row.charge_kw, row.discharge_kw, row.batt_q_kvar)
     beyond = np.max([*power_beyond_kw(b, *powers, state.online).values()], axis=0)
-    return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
+    return worst_words("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
 def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
@@ -196,7 +196,7 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
             now.power_beyond_kw(units, on, *plan), now.stored_beyond_kw(units, *plan)
         )[0]
         slack = within.power_kw + within.power_share * units.largest_kw
-        found = _worst(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
+        found = worst_words(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
         if found:
             return found
     return ""
@@ -229,14 +229,14 @@ def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     known = state.batteries_ahead
     end = known.path(row.charge_kw[np.newaxis], row.discharge_kw[np.newaxis])[1]
     beyond = np.maximum(*known.soc_beyond(end))
-    return _worst("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
+    return worst_words("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
 
 
 def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
     pv = state.site.pv
     slack = within.power_kw + within.power_share * pv.s_max_kva
     beyond = np.maximum(-row.curtailed_kw, np.abs(row.pv_q_kvar) - pv.s_max_kva)
-    return _worst("pv", pv.id, beyond - slack, beyond, "kVA")
+    return worst_words("pv", pv.id, beyond - slack, beyond, "kVA")
 
 
 def _dead_parts(row: _Row, state: StepState) -> str:
@@ -346,7 +346,7 @@ def _voltage(
     return f"voltage: {row.v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""
 
 
-def _worst(check: str, names: Names, excess: Floats, beyond: Floats, unit: str) -> str:
+def worst_words(check: str, names: Names, excess: Floats, beyond: Floats, unit: str) -> str:
     """Text on the item that is furthest beyond its tolerance, empty if none is."""
     if len(excess) == 0 or excess.max() <= 0:
         return ""

@@ -46,36 +46,22 @@ BATTERY_KW_PER_KWH = 0.5
 
 @dataclass(frozen=True, eq=False)
 class NewAssets:
-    """Assets of a new scenario.
+    """Assets of a new scenario."""
 
-    Parameters
-    ----------
-    customers, pv, batteries, gensets : Customers, PVSystems, Batteries, Gensets
-        The tables.
-    tiers : dict
-        Tiers and their weights, most important first.
-    peak_kw : array, shape (C,)
-        Load of each customer in the source.
-    of_generator : array, shape (G,)
-        Position of the system that each generator of the source is a part of; -1 for none.
-    of_load : array, shape (E,)
-        Position of the customer that each load of the source is; -1 for a part of one, or none.
-    notes : tuple of str
-        What was chosen, drawn or left out, in sentences.
-    set_labels : dict
-        Labels of the source by the sets that are made of its generators.
-    """
-
+    #: The tables.
     customers: Customers
     pv: PVSystems
     batteries: Batteries
     gensets: Gensets
-    tiers: dict[str, float]
-    peak_kw: Floats
+    tiers: dict[str, float]  #: tiers and their weights, most important first
+    peak_kw: Floats  #: load of each customer in the source, (C,)
+    #: Position of the system that each generator of the source is a part of, (G,); -1 for none.
     of_generator: Wholes
+    #: Position of the customer that each load of the source is, (E,); -1 for a part of one, or
+    #: none.
     of_load: Wholes
-    notes: tuple[str, ...]
-    set_labels: dict[str, str]
+    notes: tuple[str, ...]  #: what was chosen, drawn or left out, in sentences
+    set_labels: dict[str, str]  #: labels of the source by the sets that are made of its generators
 
 
 def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:

@@ -68,23 +68,14 @@ def power_beyond_kw(
 
 @dataclass(frozen=True, eq=False)
 class BatteriesAhead:
-    """Batteries over steps that begin with a state of charge, (B,) each.
+    """Batteries over steps that begin with a state of charge, (B,) each."""
 
-    Parameters
-    ----------
-    units : Batteries
-        Their ratings and limits.
-    soc, eta_charge, eta_discharge : array, shape (B,)
-        State of charge and efficiencies.
-    dt_h : float
-        Length of a step.
-    """
-
-    units: Batteries
+    units: Batteries  #: their ratings and limits
+    #: State of charge and efficiencies, (B,).
     soc: Floats
     eta_charge: Floats
     eta_discharge: Floats
-    dt_h: float
+    dt_h: float  #: length of a step
 
     @classmethod
     def of(cls, units: Batteries, state: Charged, dt_h: float) -> Self:

@@ -81,27 +81,16 @@ def setpoints_c(loads: ThermalLoads, start_c: Floats, end_c: Floats, power_kw: F
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """Rooms and tanks at the end of a step, (H,) each.
-
-    Parameters
-    ----------
-    read_c : array
-        Last reading; NaN if there was none.
-    reckoned_c : array
-        What has become of it since it moved last.
-    lowest_c, highest_c : array
-        The lowest and the highest that it became since then.
-    taken_kw : array
-        What machines were to take in the step.
-    """
+    """Rooms and tanks at the end of a step, (H,) each."""
 
     timed: ClassVar[bool] = False
 
-    read_c: Floats
-    reckoned_c: Floats
+    read_c: Floats  #: last reading; NaN if there was none
+    reckoned_c: Floats  #: what has become of it since it moved last
+    #: The lowest and the highest that it became since then.
     lowest_c: Floats
     highest_c: Floats
-    taken_kw: Floats
+    taken_kw: Floats  #: what machines were to take in the step
 
     @classmethod
     def before_the_day(cls, scenario: Scenario) -> Felt:

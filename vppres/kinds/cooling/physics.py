@@ -21,32 +21,18 @@ OF_A_STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Rooms(UnitsAhead):
-    """Temperatures of rooms and tanks in a window, with their bands and machines, (W, H) each.
+    """Temperatures of rooms and tanks in a window, with their bands and machines, (W, H) each."""
 
-    Parameters
-    ----------
-    keeps : array
-        Part of the temperature before a step that is left at its end; 0 in the first step, of which
-        ``drift_c`` has that part already.
-    drift_c : array
-        What surroundings and gains add to it.
-    c_per_kw : array
-        What a kW of the machine adds to it, negative for cooling.
-    most_kw : array
-        Largest power of the machine.
-    t_min_c, t_max_c : array
-        Comfort band.
-    weight : array
-        Priority weight.
-    """
-
+    #: Part of the temperature before a step that is left at its end; 0 in the first step, of which
+    #: ``drift_c`` has that part already.
     keeps: Floats
-    drift_c: Floats
-    c_per_kw: Floats
-    most_kw: Floats
+    drift_c: Floats  #: what surroundings and gains add to it
+    c_per_kw: Floats  #: what a kW of the machine adds to it, negative for cooling
+    most_kw: Floats  #: largest power of the machine
+    #: Comfort band.
     t_min_c: Floats
     t_max_c: Floats
-    weight: Floats
+    weight: Floats  #: priority weight
 
     @classmethod
     def of(cls, scenario: Scenario, steps: range, now_c: Floats, past_days: Any = None) -> Self:

@@ -28,37 +28,25 @@ from vppres.model.variables import Parameters, Variables
 
 @dataclass(frozen=True, eq=False)
 class ThermalLoadsModel(Addition):
-    """Variables and parameters of H rooms and tanks over W steps.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    power : cvxpy.Variable, shape (W, H)
-        Power of the machines in kW.
-    temperature, over, under : cvxpy.Variable, shape (W, H)
-        Temperature at the end of the step in °C, and by how much it is outside the band.
-    keeps, drift, per_kw, most, lowest, highest : cvxpy.Parameter, shape (W, H)
-        See :class:`vppres.kinds.cooling.physics.Rooms`.
-    price : cvxpy.Parameter, shape (W, H)
-        Price of a K over a step, in weighted customer hours.
-    """
+    """Variables and parameters of H rooms and tanks over W steps."""
 
     by_dispatch: ClassVar[tuple[str, ...]] = ("th_power", "th_temperature", "th_over", "th_under")
     met: ClassVar[tuple[str, ...]] = ("th_recursion", "th_warm", "th_cold", "th_served")
 
-    site: Site
-    power: cp.Variable
+    site: Site  #: fixed data
+    power: cp.Variable  #: power of the machines in kW, (W, H)
+    #: Temperature at the end of the step in °C, and by how much it is outside the band, (W, H).
     temperature: cp.Variable
     over: cp.Variable
     under: cp.Variable
+    #: See :class:`vppres.kinds.cooling.physics.Rooms`, (W, H).
     keeps: cp.Parameter
     drift: cp.Parameter
     per_kw: cp.Parameter
     most: cp.Parameter
     lowest: cp.Parameter
     highest: cp.Parameter
-    price: cp.Parameter
+    price: cp.Parameter  #: price of a K over a step, in weighted customer hours, (W, H)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

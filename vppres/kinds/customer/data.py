@@ -97,21 +97,13 @@ class SwitchingRules:
 
 @dataclass(frozen=True)
 class RuleSteps:
-    """Rules that shape a compiled problem, in steps.
+    """Rules that shape a compiled problem, in steps."""
 
-    Parameters
-    ----------
-    served, unserved : int
-        Minimum times, at least 1, which is no rule.
-    cold : int
-        Steps of higher demand after a restoration, 0 for none.
-    days : int
-        Days of the window that have a limit of actions of their own; 1 without a limit.
-    """
-
+    #: Minimum times, at least 1, which is no rule.
     served: int = 1
     unserved: int = 1
-    cold: int = 0
+    cold: int = 0  #: steps of higher demand after a restoration, 0 for none
+    #: Days of the window that have a limit of actions of their own; 1 without a limit.
     days: int = 1
 
 

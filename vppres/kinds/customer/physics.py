@@ -22,25 +22,14 @@ DAY_H = 24.0
 
 @dataclass(frozen=True, eq=False)
 class LongestOff:
-    """Limits of the n customers that have one, in a window of W steps.
+    """Limits of the n customers that have one, in a window of W steps."""
 
-    Parameters
-    ----------
-    customer : array of int, shape (n,)
-        Their positions.
-    steps : array of int, shape (n,)
-        Steps that each may be off at a time.
-    asked : array of bool, shape (W, n)
-        Whether a step is beyond the limit if the customer was off in all steps of the window up to
-        it: off before the window, or for long enough in it.
-    price : array, shape (n,)
-        Price of a step beyond it, in weighted customer hours.
-    """
-
-    customer: Wholes
-    steps: Wholes
+    customer: Wholes  #: their positions, (n,)
+    steps: Wholes  #: steps that each may be off at a time, (n,)
+    #: Whether a step is beyond the limit if the customer was off in all steps of the window up to
+    #: it, (W, n): off before the window, or for long enough in it.
     asked: Flags
-    price: Floats
+    price: Floats  #: price of a step beyond it, in weighted customer hours, (n,)
 
     @classmethod
     def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff | None:
@@ -98,40 +87,21 @@ def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class SwitchingData:
-    """Rules of one window of W steps and C customers, in D days.
+    """Rules of one window of W steps and C customers, in D days."""
 
-    Parameters
-    ----------
-    steps : RuleSteps
-        Minimum times and cold load in steps.
-    served_before : array of bool, shape (C,)
-        Who was served in the step before the window.
-    served_min, served_max : array of bool, shape (W, C)
-        Who must be served, and who may be, because of what happened before the window.
-    actions_left : array, shape (D, C)
-        Actions that each customer has left in each day.
-    price_per_action : float
-        In weighted customer hours.
-    cold_factor : float
-        Demand after a restoration as a multiple of the usual one.
-    cold_before : array of bool, shape (W, C)
-        Whose demand would be higher for a restoration before the window, if still served.
-    day : array of int, shape (W,)
-        Day of each step, counted from that of the first.
-    longest_off : LongestOff, optional
-        How long customers may be off at a time; None where that says nothing. It may be broken at a
-        price, so that no service breaks a rule by it.
-    """
-
-    steps: RuleSteps
-    served_before: Flags
+    steps: RuleSteps  #: minimum times and cold load in steps
+    served_before: Flags  #: who was served in the step before the window, (C,)
+    #: Who must be served, and who may be, because of what happened before the window, (W, C).
     served_min: Flags
     served_max: Flags
-    actions_left: Floats
-    price_per_action: float
-    cold_factor: float
+    actions_left: Floats  #: actions that each customer has left in each day, (D, C)
+    price_per_action: float  #: in weighted customer hours
+    cold_factor: float  #: demand after a restoration as a multiple of the usual one
+    #: Whose demand would be higher for a restoration before the window, if still served, (W, C).
     cold_before: Flags
-    day: Wholes
+    day: Wholes  #: day of each step, counted from that of the first, (W,)
+    #: How long customers may be off at a time; None where that says nothing. It may be broken at a
+    #: price, so that no service breaks a rule by it.
     longest_off: LongestOff | None = None
 
     def keeping(self, served: Flags) -> SwitchingData:
@@ -256,35 +226,16 @@ class SwitchingData:
 
 @dataclass(frozen=True, eq=False)
 class SwitchingState:
-    """State of the switching rules, from the customers that were really served.
+    """State of the switching rules, from the customers that were really served."""
 
-    Parameters
-    ----------
-    rules : SwitchingRules
-        The rules.
-    dt_h : float
-        Length of a step in h.
-    served : array of bool, shape (C,)
-        Who was served in the last step.
-    since_h : array, shape (C,)
-        Time since the last action in h, infinite where there was none.
-    actions : array, shape (C,)
-        Actions so far in the present day.
-    duties : bool
-        Whether the past demands anything of the service.
-    step : int
-        The step that begins now, counted from the first.
-    longest_off_h : array, shape (C,), optional
-        How long each customer may be off at a time in h; None if none has a limit.
-    """
-
-    rules: SwitchingRules
-    dt_h: float
-    served: Flags
-    since_h: Floats
-    actions: Floats
-    duties: bool = True
-    step: int = 0
+    rules: SwitchingRules  #: the rules
+    dt_h: float  #: length of a step in h
+    served: Flags  #: who was served in the last step, (C,)
+    since_h: Floats  #: time since the last action in h, infinite where there was none, (C,)
+    actions: Floats  #: actions so far in the present day, (C,)
+    duties: bool = True  #: whether the past demands anything of the service
+    step: int = 0  #: the step that begins now, counted from the first
+    #: How long each customer may be off at a time in h, (C,); None if none has a limit.
     longest_off_h: Floats | None = None
 
     @classmethod
@@ -409,18 +360,10 @@ class SwitchingState:
 
 @dataclass(frozen=True, eq=False)
 class Owed:
-    """Demand that dimmed customers lack, by the steps in which it may still be caught up.
+    """Demand that dimmed customers lack, by the steps in which it may still be caught up."""
 
-    Parameters
-    ----------
-    kw : array, shape (K, C)
-        Demand of a step; that of row k may be caught up in the next k + 1 steps.
-    steps : array of int, shape (C,)
-        Steps in which each may catch up, 0 for a customer that does not.
-    """
-
-    kw: Floats
-    steps: Wholes
+    kw: Floats  #: demand of a step, (K, C); that of row k may be caught up in the next k + 1 steps
+    steps: Wholes  #: steps in which each may catch up, 0 for a customer that does not, (C,)
 
     @classmethod
     def of(cls, customers: Customers, dt_h: float) -> Owed | None:

@@ -230,26 +230,14 @@ Limits = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, eq=False)
 class LongestTimeOff(Addition):
-    """Variable and parameters of the longest times off.
-
-    Parameters
-    ----------
-    limits : tuple of (int, int)
-        Customers with a limit, each with its steps.
-    beyond : cvxpy.Variable, shape (W, n)
-        Whether a step is beyond the limit.
-    asked : cvxpy.Parameter, shape (W, n)
-        1 if a step may be beyond it.
-    price : cvxpy.Parameter, shape (n,)
-        Price of a step beyond it, in weighted customer hours.
-    """
+    """Variable and parameters of the longest times off."""
 
     rules: ClassVar[bool] = True
 
-    limits: Limits
-    beyond: cp.Variable
-    asked: cp.Parameter
-    price: cp.Parameter
+    limits: Limits  #: customers with a limit, each with its steps
+    beyond: cp.Variable  #: whether a step is beyond the limit, (W, n)
+    asked: cp.Parameter  #: 1 if a step may be beyond it, (W, n)
+    price: cp.Parameter  #: price of a step beyond it, in weighted customer hours, (n,)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -292,47 +280,23 @@ class LongestTimeOff(Addition):
 
 @dataclass(frozen=True, eq=False)
 class DimmedDemand(Addition):
-    """Variables and parameters of the n customers that may be dimmed, of which m catch up.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    customer : array of int, shape (n,)
-        Their positions.
-    dimmed : cvxpy.Variable, shape (W, n)
-        Share of the demand that each does not get although it is served.
-    P_whole : cvxpy.Parameter, shape (W, n)
-        Their demand.
-    steps : tuple of int
-        Steps in which each of the m catches up.
-    catching : array, shape (m, n)
-        Places the m among the n.
-    caught_up : cvxpy.Variable, shape (W, m)
-        Share of its demand that each takes besides.
-    catches : cvxpy.Variable, shape (W, m)
-        1 for a step in which it may catch up, 0 for one in which it may be dimmed: who did both
-        would make new of what has lapsed.
-    P_owed : cvxpy.Variable, shape (W, m)
-        What each may catch up in a step, as power.
-    P_valid : cvxpy.Parameter, shape (W, m)
-        The same of what it lacks from before the window.
-    limited : cvxpy.Parameter, shape (W, m)
-        1 for a step with a limit of import: only there is it dimmed to catch up.
-    """
+    """Variables and parameters of the n customers that may be dimmed, of which m catch up."""
 
     calm: ClassVar[tuple[str, ...]] = ("dimmed",)
 
-    site: Site
-    customer: Wholes
-    dimmed: cp.Variable
-    P_whole: cp.Parameter
-    steps: tuple[int, ...]
-    catching: sp.csr_array
-    caught_up: cp.Variable
+    site: Site  #: fixed data
+    customer: Wholes  #: their positions, (n,)
+    dimmed: cp.Variable  #: share of the demand that each does not get although it is served, (W, n)
+    P_whole: cp.Parameter  #: their demand, (W, n)
+    steps: tuple[int, ...]  #: steps in which each of the m catches up
+    catching: sp.csr_array  #: places the m among the n, (m, n)
+    caught_up: cp.Variable  #: share of its demand that each takes besides, (W, m)
+    #: 1 for a step in which it may catch up, 0 for one in which it may be dimmed, (W, m): who did
+    #: both would make new of what has lapsed.
     catches: cp.Variable
-    P_owed: cp.Variable
-    P_valid: cp.Parameter
+    P_owed: cp.Variable  #: what each may catch up in a step, as power, (W, m)
+    P_valid: cp.Parameter  #: the same of what it lacks from before the window, (W, m)
+    #: 1 for a step with a limit of import, (W, m): only there is it dimmed to catch up.
     limited: cp.Parameter
 
     @classmethod

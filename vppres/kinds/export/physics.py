@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Floats, Wholes, freeze_arrays
-from vppres.core.by_step import ByStep
+from vppres.core.arrays import ByStep, Floats, Wholes, freeze_arrays
 from vppres.scenario.scenario import Scenario
 
 CIRCLE_KW = 1e-4
@@ -22,21 +21,14 @@ EXPLOITED_GBP = 1e-5
 class Export(ByStep):
     """Export over a window of W steps; a connection that imports only has none.
 
-    Parameters
-    ----------
-    limit_kw : array, shape (W,)
-        Largest export, 0 in an outage, may be infinite.
-    price_gbp_per_kwh : array, shape (W,)
-        What exported energy earns, negative where it costs.
-
     Examples
     --------
     >>> Export([50.0, 0.0], [0.1, 0.1]).part(slice(1)).limit_kw
     array([50.])
     """
 
-    limit_kw: Floats
-    price_gbp_per_kwh: Floats
+    limit_kw: Floats  #: largest export, 0 in an outage, may be infinite, (W,)
+    price_gbp_per_kwh: Floats  #: what exported energy earns, negative where it costs, (W,)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -27,24 +27,13 @@ from vppres.model.variables import Parameters, Variables
 
 @dataclass(frozen=True, eq=False)
 class ExportToGrid(Addition):
-    """Variables and parameters of the export over W steps.
+    """Variables and parameters of the export over W steps."""
 
-    Parameters
-    ----------
-    P_out : cvxpy.Variable, shape (W,)
-        Exported power.
-    importing : cvxpy.Variable, shape (W,)
-        1 for a step in which the connection may import, 0 for one in which it may export.
-    P_out_max : cvxpy.Parameter, shape (W,)
-        Largest export.
-    sigma_dt : cvxpy.Parameter, shape (W,)
-        What a kW of export earns in a step, in GBP.
-    """
-
-    P_out: cp.Variable
+    P_out: cp.Variable  #: exported power, (W,)
+    #: 1 for a step in which the connection may import, 0 for one in which it may export, (W,).
     importing: cp.Variable
-    P_out_max: cp.Parameter
-    sigma_dt: cp.Parameter
+    P_out_max: cp.Parameter  #: largest export, (W,)
+    sigma_dt: cp.Parameter  #: what a kW of export earns in a step, in GBP, (W,)
 
     replaces: ClassVar[tuple[str, ...]] = ("grid_active_limit",)
     directions: ClassVar[tuple[str, ...]] = ("importing",)

@@ -69,34 +69,17 @@ STILL_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Ran:
-    """Sets from the beginning of a step on, as their set-points have them run, (G,) each.
-
-    Parameters
-    ----------
-    at_h : float
-        When it began, in h since the controller's first step.
-    before : GensetState
-        State then, with the least fuel that may have been in the tank.
-    most_litres : array
-        The most that may have been.
-    read_litres : array
-        Last reading of the gauge; NaN if there was none.
-    out : array of bool
-        Sets that do not start.
-    fault : array
-        What each said last of a fault; NaN if nothing.
-    on, power_kw : array
-        How they were to run.
-    """
+    """Sets from the beginning of a step on, as their set-points have them run, (G,) each."""
 
     timed: ClassVar[bool] = True
 
-    at_h: float
-    before: GensetState
-    most_litres: Floats
-    read_litres: Floats
-    out: Flags
-    fault: Floats
+    at_h: float  #: when it began, in h since the controller's first step
+    before: GensetState  #: state then, with the least fuel that may have been in the tank
+    most_litres: Floats  #: the most that may have been
+    read_litres: Floats  #: last reading of the gauge; NaN if there was none
+    out: Flags  #: sets that do not start
+    fault: Floats  #: what each said last of a fault; NaN if nothing
+    #: How they were to run.
     on: Flags
     power_kw: Floats
 

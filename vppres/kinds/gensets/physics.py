@@ -23,35 +23,19 @@ LARGEST_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class SetsAhead(UnitsAhead):
-    """State and limits of sets in a window, (W, G) each.
-
-    Parameters
-    ----------
-    can_run : array of bool
-        Steps in which a set may be on.
-    rested : array of bool
-        Steps in which a set that is off has been so for its least time.
-    must_run : array of bool
-        Steps in which a set that is on has not yet been so for its least time.
-    was_on, was_kw : array
-        Whether a set was on before the window, and its power; only in the first step.
-    added_litres : array
-        Fuel that comes into the tank; in the first step all that is in it.
-    forms : array of bool
-        Steps in which a set is what forms the grid; it must run in them.
-    headroom_kw : array
-        Power that it leaves free then above its plan and below it, with fuel for a step of it.
-    """
+    """State and limits of sets in a window, (W, G) each."""
 
     switched: ClassVar[bool] = True
 
-    can_run: Flags
-    rested: Flags
-    must_run: Flags
+    can_run: Flags  #: steps in which a set may be on
+    rested: Flags  #: steps in which a set that is off has been so for its least time
+    must_run: Flags  #: steps in which a set that is on has not yet been so for its least time
+    #: Whether a set was on before the window, and its power; only in the first step.
     was_on: Floats
     was_kw: Floats
-    added_litres: Floats
-    forms: Flags
+    added_litres: Floats  #: fuel that comes into the tank; in the first step all that is in it
+    forms: Flags  #: steps in which a set is what forms the grid; it must run in them
+    #: Power that it leaves free then above its plan and below it, with fuel for a step of it.
     headroom_kw: Floats
 
     @classmethod

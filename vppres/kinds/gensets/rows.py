@@ -29,28 +29,7 @@ from vppres.model.variables import Parameters, Variables
 
 @dataclass(frozen=True, eq=False)
 class GensetsModel(Addition):
-    """Variables and parameters of G sets over W steps.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    on : cvxpy.Variable, shape (W, G)
-        1 for a set that runs.
-    start : cvxpy.Variable, shape (W, G)
-        1 for a set that starts.
-    power, fuel : cvxpy.Variable, shape (W, G)
-        Power in kW; fuel at the end of the step in litres.
-    can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
-        See :class:`vppres.kinds.gensets.physics.SetsAhead`.
-    reactive : cvxpy.Variable, shape (W, G), optional
-        Reactive power as a share of the largest; none where no set can form the grid.
-    headroom, q_most, at_once : cvxpy.Parameter, shape (W, G), optional
-        What a set that forms the grid leaves free in kW, its largest reactive power, and by how
-        much it moves beyond its ramps in kW: it follows the load.
-    stands_for : cvxpy.Parameter, shape (G,)
-        Energy in a battery that a litre stands for at the end, where such energy has a value.
-    """
+    """Variables and parameters of G sets over W steps."""
 
     by_dispatch: ClassVar[tuple[str, ...]] = ("gs_on", "gs_start", "gs_power", "gs_fuel")
     met: ClassVar[tuple[str, ...]] = (
@@ -71,19 +50,25 @@ class GensetsModel(Addition):
 
     of_network: ClassVar[tuple[str, ...]] = ("gs_reactive",)
 
-    site: Site
-    on: cp.Variable
-    start: cp.Variable
+    site: Site  #: fixed data
+    on: cp.Variable  #: 1 for a set that runs, (W, G)
+    start: cp.Variable  #: 1 for a set that starts, (W, G)
+    #: Power in kW, (W, G); fuel at the end of the step in litres.
     power: cp.Variable
     fuel: cp.Variable
+    #: See :class:`vppres.kinds.gensets.physics.SetsAhead`, (W, G).
     can_run: cp.Parameter
     can_start: cp.Parameter
     must_run: cp.Parameter
     was_on: cp.Parameter
     was_kw: cp.Parameter
     added: cp.Parameter
+    #: Energy in a battery that a litre stands for at the end, where such energy has a value, (G,).
     stands_for: cp.Parameter
+    #: Reactive power as a share of the largest, (W, G); none where no set can form the grid.
     reactive: cp.Variable | None = None
+    #: What a set that forms the grid leaves free in kW, its largest reactive power, and by how much
+    #: it moves beyond its ramps in kW, (W, G): it follows the load.
     headroom: cp.Parameter | None = None
     q_most: cp.Parameter | None = None
     at_once: cp.Parameter | None = None

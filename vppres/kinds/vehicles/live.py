@@ -79,6 +79,11 @@ class PluggedInVehicles:
     stays: tuple[Stay, ...] = ()
 
     @classmethod
+    def before_the_day(cls, n_chargers: int) -> PluggedInVehicles:
+        """No vehicle that was here before."""
+        return cls(("",) * n_chargers, np.zeros(n_chargers), np.zeros(n_chargers))
+
+    @classmethod
     def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> PluggedInVehicles:
         """The vehicles of a step with their energy at its end."""
         here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
@@ -115,12 +120,10 @@ class VehiclesNow(UnitsNow):
 
 def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> VehiclesNow:
     """Vehicles as they were read, or else as reckoned, or else as their sessions say."""
-    day, kwh = moment.window, read_kwh
-    if past is not None:
-        kwh = np.where(np.isnan(kwh), past.at(day, 0), kwh)
-    taken_kw = np.zeros(len(kwh)) if past is None else past.taken_kw
-    off_kw = float(np.abs(taken_kw).sum())
-    return VehiclesNow(Garage(day, kwh).at(0), float(taken_kw.sum()), off_kw, ())
+    day, past = moment.window, past or PluggedInVehicles.before_the_day(len(read_kwh))
+    kwh = np.where(np.isnan(read_kwh), past.at(day, 0), read_kwh)
+    off_kw = float(np.abs(past.taken_kw).sum())
+    return VehiclesNow(Garage(day, kwh).at(0), float(past.taken_kw.sum()), off_kw, ())
 
 
 def read(
@@ -146,7 +149,7 @@ def read(
     own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
     for row in rows_of(scenario.sessions):
         own[row["charger"]].append(row)
-    for stay in () if past is None else past.stays:
+    for stay in past.stays if past else ():
         row = dict(vars(stay))
         own[stay.charger] = [*_sessions_beside(own[stay.charger], row, door.begun), row]
     for k, (name, rows) in enumerate(own.items()):

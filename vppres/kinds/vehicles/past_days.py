@@ -20,23 +20,12 @@ class PastDays:
 
     A day with a session that goes on in the run is none, nor is the one on which the run begins.
     Between the first and the last, a day without a session is one on which no vehicle came.
-
-    Parameters
-    ----------
-    sessions : Sessions
-        Those that ended before the first step of the run.
-    begun : array of int
-        Day on which each began, counted as :meth:`datetime.date.toordinal` does.
-    days : array of int
-        The past days, counted alike.
-    seed : int
-        Of the run.
     """
 
-    sessions: Sessions
-    begun: Wholes
-    days: Wholes
-    seed: int
+    sessions: Sessions  #: those that ended before the first step of the run
+    begun: Wholes  #: day on which each began, counted as :meth:`datetime.date.toordinal` does
+    days: Wholes  #: the past days, counted alike
+    seed: int  #: of the run
 
     @classmethod
     def of(cls, scenario: Scenario, seed: int) -> Self | None:

@@ -23,36 +23,22 @@ NEGLIGIBLE_KW = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Plugged(UnitsAhead):
-    """Vehicles in W steps at K chargers, (W, K) each; energies in kWh.
+    """Vehicles in W steps at K chargers, (W, K) each; energies in kWh."""
 
-    Parameters
-    ----------
-    here : array of bool
-        Steps in which a vehicle is plugged in, as far as is known or expected.
-    known : array of bool
-        Those of them with a vehicle that is known. One that is expected may not come, and gives
-        nothing back.
-    stays : array of bool
-        Steps that begin with the vehicle of the step before.
-    held_kwh : array
-        Energy in the vehicle of which it is the first step of the window, otherwise 0.
-    full_kwh, floor_kwh : array
-        Energy that it holds at most, and below which it is not discharged.
-    line_kwh : array
-        Energy at the end of the step on the straight line from what it holds at plug-in to what it
-        needs at departure.
-    weight : array
-        Weight of its tier.
-    """
-
-    here: Flags
+    here: Flags  #: steps in which a vehicle is plugged in, as far as is known or expected
+    #: Those of them with a vehicle that is known. One that is expected may not come, and gives
+    #: nothing back.
     known: Flags
-    stays: Flags
+    stays: Flags  #: steps that begin with the vehicle of the step before
+    #: Energy in the vehicle of which it is the first step of the window, otherwise 0.
     held_kwh: Floats
+    #: Energy that it holds at most, and below which it is not discharged.
     full_kwh: Floats
     floor_kwh: Floats
+    #: Energy at the end of the step on the straight line from what it holds at plug-in to what it
+    #: needs at departure.
     line_kwh: Floats
-    weight: Floats
+    weight: Floats  #: weight of its tier
 
     @classmethod
     def none(cls, n_steps: int, n_chargers: int) -> Self:

@@ -33,26 +33,7 @@ A day later costs less than the smallest difference of prices, 0.01 p."""
 
 @dataclass(frozen=True, eq=False)
 class Vehicles(Addition):
-    """Variables and parameters of K chargers over W steps, of which V also discharge.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    two_way : array of int, shape (V,)
-        Positions of the chargers that discharge.
-    charge, energy, short : cvxpy.Variable, shape (W, K)
-        Power at the connection in kW; energy at the end of the step, and what lacks of it when the
-        vehicle leaves, in kWh.
-    discharge, charges : cvxpy.Variable, shape (W, V), or None
-        Power that is given back, and 1 for a step in which a charger may charge.
-    P_most, P_back : cvxpy.Parameter, shape (W, K), (W, V)
-        Largest powers, 0 where no vehicle is plugged in, or, to discharge, is known.
-    stays, held, full, lowest, needed : cvxpy.Parameter, shape (W, K)
-        See :class:`vppres.kinds.vehicles.physics.Plugged`.
-    price : cvxpy.Parameter, shape (W, K)
-        Price of what lacks, in weighted customer hours per kWh.
-    """
+    """Variables and parameters of K chargers over W steps, of which V also discharge."""
 
     by_dispatch: ClassVar[tuple[str, ...]] = ("ev_charge", "ev_discharge", "ev_energy", "ev_short")
     met: ClassVar[tuple[str, ...]] = (
@@ -67,21 +48,26 @@ class Vehicles(Addition):
         "ev_discharging_served",
     )
 
-    site: Site
-    two_way: Wholes
+    site: Site  #: fixed data
+    two_way: Wholes  #: positions of the chargers that discharge, (V,)
+    #: Power at the connection in kW, (W, K); energy at the end of the step, and what lacks of it
+    #: when the vehicle leaves, in kWh.
     charge: cp.Variable
     energy: cp.Variable
     short: cp.Variable
+    #: Power that is given back, and 1 for a step in which a charger may charge, (W, V).
     discharge: cp.Variable | None
     charges: cp.Variable | None
+    #: Largest powers, 0 where no vehicle is plugged in, or, to discharge, is known, (W, K), (W, V).
     P_most: cp.Parameter
     P_back: cp.Parameter
+    #: See :class:`vppres.kinds.vehicles.physics.Plugged`, (W, K).
     stays: cp.Parameter
     held: cp.Parameter
     full: cp.Parameter
     lowest: cp.Parameter
     needed: cp.Parameter
-    price: cp.Parameter
+    price: cp.Parameter  #: price of what lacks, in weighted customer hours per kWh, (W, K)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -69,24 +69,13 @@ class TimeAxis:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Horizontal scale of a chart that is not over the time of a run.
+    """Horizontal scale of a chart that is not over the time of a run."""
 
-    Parameters
-    ----------
-    title : str
-        What it is.
-    places : array, shape (n,)
-        Where points lie; of values that hold over a step the ends of the steps.
-    names : sequence of str
-        Words for the places, or for the steps between them; round values without.
-    room : float
-        What is left free at both ends, as a share of all.
-    """
-
-    title: str
-    places: Floats
+    title: str  #: what it is
+    places: Floats  #: where points lie, (n,); of values that hold over a step the ends of the steps
+    #: Words for the places, or for the steps between them; round values without.
     names: Sequence[str] = ()
-    room: float = 0.0
+    room: float = 0.0  #: what is left free at both ends, as a share of all
 
 
 @dataclass(frozen=True)

@@ -36,19 +36,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class AlarmKind:
-    """Kind of alarm: title, severity and advice.
+    """Kind of alarm: title, severity and advice."""
 
-    Parameters
-    ----------
-    delay_min, gone_min : float
-        How long the condition lasts before it is raised, and is gone before it is cleared.
-    advice : str
-        What an operator can do.
-    """
-
+    #: How long the condition lasts before it is raised, and is gone before it is cleared.
     delay_min: float
     gone_min: float
-    advice: str
+    advice: str  #: what an operator can do
 
 
 KINDS = {

@@ -25,24 +25,12 @@ NAMES_SHOWN = 5
 
 @dataclass(frozen=True, eq=False)
 class ByHand:
-    """Set-points of an operator, played on the plant as the site is now.
+    """Set-points of an operator, played on the plant as the site is now."""
 
-    Parameters
-    ----------
-    asked : mapping
-        The mode, with its set-points.
-    now : Scenario
-        The step: what is measured of it, and whether there is grid.
-    found : Situation
-        How the site is.
-    options : RunOptions
-        How the plant behaves.
-    """
-
-    asked: Mapping[str, Any]
-    now: Scenario
-    found: Situation
-    options: RunOptions
+    asked: Mapping[str, Any]  #: the mode, with its set-points
+    now: Scenario  #: the step: what is measured of it, and whether there is grid
+    found: Situation  #: how the site is
+    options: RunOptions  #: how the plant behaves
 
     def words(self) -> list[str]:
         """Consequences in sentences.

@@ -108,27 +108,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Service:
-    """Service of one site: its controller, store and clock.
+    """Service of one site: its controller, store and clock."""
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The site.
-    options : RunOptions
-        How it decides.
-    rehearsal : bool
-        Whether the scenario's own steps are played, at the pace of the requests.
-    paced : bool
-        Whether the clock is set over HTTP, instead of the machine's; that of a rehearsal is.
-    keep_days : float
-        How long readings and plans are kept, in days.
-    """
-
-    scenario: Scenario
-    options: RunOptions
+    scenario: Scenario  #: the site
+    options: RunOptions  #: how it decides
+    #: Whether the scenario's own steps are played, at the pace of the requests.
     rehearsal: bool = False
+    #: Whether the clock is set over HTTP, instead of the machine's; that of a rehearsal is.
     paced: bool = False
-    keep_days: float = KEEP_DAYS
+    keep_days: float = KEEP_DAYS  #: how long readings and plans are kept, in days
 
     @property
     def profile(self) -> ClockProfile | None:

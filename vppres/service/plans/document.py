@@ -68,21 +68,11 @@ Told = Mapping[tuple[str, str], Mapping[str, Any]]  # set-points by kind and ide
 
 @dataclass(frozen=True)
 class Left:
-    """How devices are left where no plan comes: whether there is grid, and their last set-points.
+    """State in which devices are left where no plan comes: the grid, and their last set-points."""
 
-    Parameters
-    ----------
-    available : bool
-        Whether there is grid.
-    known_by : str
-        Who says so.
-    told : mapping
-        Set-points that devices had last.
-    """
-
-    available: bool = True
-    known_by: str = "profile"
-    told: Told = field(default_factory=dict)
+    available: bool = True  #: whether there is grid
+    known_by: str = "profile"  #: who says so
+    told: Told = field(default_factory=dict)  #: set-points that devices had last
 
     @property
     def grid(self) -> dict[str, Any]:

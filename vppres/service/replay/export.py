@@ -113,27 +113,15 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Stored steps, as they were: what was said of them is played again on the plant.
+    """Stored steps, as they were: what was said of them is played again on the plant."""
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The steps as they were measured and announced; without grid where plans say so.
-    options : RunOptions
-        How they were decided.
-    stored : list of dict
-        Their plans, empty for a step without; none of steps that were not replayed yet.
-    parts : list of list of StepPart
-        Parts of each step; none of a step without a plan.
-    soc : array, shape (T, B)
-        States of charge that were read, NaN where none was.
-    """
-
+    #: The steps as they were measured and announced; without grid where plans say so.
     scenario: Scenario
-    options: RunOptions
+    options: RunOptions  #: how they were decided
+    #: Their plans, empty for a step without; none of steps that were not replayed yet.
     stored: list[Plan]
-    parts: list[list[StepPart]]
-    soc: Floats
+    parts: list[list[StepPart]]  #: parts of each step; none of a step without a plan
+    soc: Floats  #: states of charge that were read, NaN where none was, (T, B)
 
     @classmethod
     def of(

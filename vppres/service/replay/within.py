@@ -27,24 +27,14 @@ GRID_ON = "grid_on"
 
 @dataclass(frozen=True, eq=False)
 class StepPart:
-    """A part of a step in which the same set-points held, with grid or without.
+    """A part of a step in which the same set-points held, with grid or without."""
 
-    Parameters
-    ----------
-    begin, end : pandas.Timestamp
-        From when to when.
-    setpoints : list of dict
-        What was said.
-    island : bool
-        Whether there was no grid.
-    foreseen : bool
-        Whether the set-points were planned for that: those that are kept or default are not.
-    """
-
+    #: From when to when.
     begin: pd.Timestamp
     end: pd.Timestamp
-    setpoints: list[dict[str, Any]]
-    island: bool
+    setpoints: list[dict[str, Any]]  #: what was said
+    island: bool  #: whether there was no grid
+    #: Whether the set-points were planned for that: those that are kept or default are not.
     foreseen: bool
 
     @property

@@ -358,24 +358,13 @@ def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Latest:
-    """Last readings at a time.
+    """Last readings at a time."""
 
-    Parameters
-    ----------
-    found : list of Reading
-        The last ones of all that was ever received.
-    heard : list of Heard
-        How old they are.
-    values : dict
-        By asset and quantity; NaN where it is too old, or known to be missing.
-    last : dict
-        Readings that are too old too, but not lost.
-    """
-
-    found: list[Reading]
-    heard: list[Heard]
+    found: list[Reading]  #: the last ones of all that was ever received
+    heard: list[Heard]  #: how old they are
+    #: By asset and quantity; NaN where it is too old, or known to be missing.
     values: dict[tuple[str, str], float]
-    last: dict[tuple[str, str], Reading]
+    last: dict[tuple[str, str], Reading]  #: readings that are too old too, but not lost
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
@@ -443,24 +432,13 @@ class _Powers:
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """Set-points of devices since the controller decided last.
+    """Set-points of devices since the controller decided last."""
 
-    Parameters
-    ----------
-    decided_at : pandas.Timestamp
-        When that was.
-    ordered_kw : DataFrame or None
-        Set-points of batteries from times on; None where there are none.
-    by_controller : bool
-        Whether all of it was the controller's own.
-    plans : list of dict
-        What was said.
-    """
-
-    decided_at: pd.Timestamp
+    decided_at: pd.Timestamp  #: when that was
+    #: Set-points of batteries from times on; None where there are none.
     ordered_kw: pd.DataFrame | None
-    by_controller: bool
-    plans: list[dict[str, Any]] = field(default_factory=list)
+    by_controller: bool  #: whether all of it was the controller's own
+    plans: list[dict[str, Any]] = field(default_factory=list)  #: what was said
 
     @classmethod
     def since(
