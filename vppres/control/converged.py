@@ -22,6 +22,7 @@ from vppres.control.linearisation import BalancedLinearisation, Linearisation, P
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
 from vppres.model.data import Physics, WindowData
@@ -400,7 +401,7 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     formers = forming_batteries(site)
     if not formers.any():
         return island & ~parted
-    held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
+    held_kw = BatteriesAhead.of(b, data, site.dt_h).discharge_to_kw(b.soc_min)
     able = bool((b.holds_energy(data.soc) & (held_kw > _NO_POWER_KW))[formers].any())
     empty = np.zeros_like(island) if able else np.logical_and.accumulate(island)
     return empty & ~parted

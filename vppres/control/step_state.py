@@ -14,13 +14,9 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
-from vppres.model.formulas import (
-    charge_to_kw,
-    discharge_to_kw,
-    lossless_flows,
-    squared_voltages,
-)
+from vppres.model.formulas import lossless_flows, squared_voltages
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
 from vppres.model.parts import Parts, parts_of
@@ -164,20 +160,19 @@ class StepState:
         return np.minimum(self.pv_kw, self.site.pv.s_max_kva)
 
     @cached_property
+    def batteries_ahead(self) -> BatteriesAhead:
+        """The batteries from this step on."""
+        return BatteriesAhead.of(self.site.batteries, self, self.site.dt_h)
+
+    @cached_property
     def charge_max_kw(self) -> Floats:
         """Largest charging power by rating and room, (B,)."""
-        b = self.site.batteries
-        until_full = charge_to_kw(b.soc_max, self.soc, self.eta_charge, b, self.site.dt_h)
-        most = np.minimum(b.active_max_kw, until_full)
-        return np.where(self.online, most, 0.0)
+        return np.where(self.online, self.batteries_ahead.most_kw()[0], 0.0)
 
     @cached_property
     def discharge_max_kw(self) -> Floats:
         """Largest discharging power by rating and stored energy, (B,)."""
-        b = self.site.batteries
-        until_empty = discharge_to_kw(b.soc_min, self.soc, self.eta_discharge, b, self.site.dt_h)
-        most = np.minimum(b.active_max_kw, until_empty)
-        return np.where(self.online, most, 0.0)
+        return np.where(self.online, self.batteries_ahead.most_kw()[1], 0.0)
 
     @property
     def flexible_kw(self) -> float:

@@ -155,7 +155,8 @@ def _plain_controller(
         return MPCController(
             solver, grid, options.horizon_h, centre, planner, options.switching.move_weight
         )
-    return FullHorizonController(solver, grid, options.pv_check, centre, planner)
+    physical = options.mode == "physical"
+    return FullHorizonController(solver, grid, options.pv_check, centre, planner, physical)
 
 
 def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:

@@ -15,9 +15,9 @@ from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
 from vppres.kinds.export.physics import Export
-from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.parts import Parts, at_items, parts_of
 from vppres.model.site import Site
@@ -388,9 +388,7 @@ class WindowData:
 
     def soc_path(self, site: Site, charge_kw: Floats, discharge_kw: Floats) -> Floats:
         """State of charge before every step and after the last, limits left out, (W + 1, B)."""
-        stored_kw = cell_kw(charge_kw, discharge_kw, self.eta_charge, self.eta_discharge)
-        total_kw = np.cumsum(stored_kw, axis=0)
-        return np.vstack([self.soc, soc_after(self.soc, total_kw, site.batteries, site.dt_h)])
+        return BatteriesAhead.of(site.batteries, self, site.dt_h).path(charge_kw, discharge_kw)
 
     def kept_range(self, site: Site) -> tuple[float, float]:
         """Least and most that the energy at the end can be worth, in weighted customer hours."""

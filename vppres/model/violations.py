@@ -13,6 +13,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
+from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
@@ -95,18 +96,11 @@ def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
     physics = data.physics
     kept_kw = 0.0 if physics is None else physics.headroom_kw
     room_kw = b.p_max_kw if physics is None else data.active_max_kw(b)
-    both_kw = np.minimum(d.charge_kw, d.discharge_kw)
-    apparent_kva = np.hypot(net_kw, d.batt_q_kvar)
+    beyond = power_beyond_kw(b, d.charge_kw, d.discharge_kw, d.batt_q_kvar)
     return {
-        "battery power": _most(
-            tolerance,
-            -d.charge_kw,
-            -d.discharge_kw,
-            d.charge_kw - b.p_max_kw,
-            d.discharge_kw - b.p_max_kw,
-        ),
-        "battery modes": _most(tolerance, both_kw),
-        "battery inverter": _most(tolerance, apparent_kva + kept_kw - b.s_max_kva),
+        "battery power": _most(tolerance, beyond["power"]),
+        "battery modes": _most(tolerance, beyond["modes"]),
+        "battery inverter": _most(tolerance, beyond["inverter"] + kept_kw),
         "battery headroom": _most(tolerance, np.abs(net_kw) - room_kw),
     }
 

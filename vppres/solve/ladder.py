@@ -17,8 +17,9 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolveError
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
-from vppres.model.own_state import GIVEN, giving_way, with_own_state
+from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.ratings import (
+    GIVEN,
     MOVED_SHARE,
     has_ratings,
     overloaded,
@@ -140,7 +141,7 @@ class WindowSolver:
         *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
         found = self._answer(tighter, data, deadline)
         # Most windows exceed no rating. Where there is no answer within them, they give way.
-        for share in sorted(GIVEN) if self.site.rated else ():
+        for share in GIVEN if self.site.rated else ():
             limited = with_ratings_given(self.site, data, found.dispatch, share)
             if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
                 break

@@ -10,14 +10,9 @@ from vppres.contract.decision import Decision
 from vppres.control.by_part import PartState, parts_of_step
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
-from vppres.model.formulas import (
-    bus_injections,
-    cell_kw,
-    curtailed_kw,
-    lossless_flows,
-    soc_after,
-)
+from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows
 from vppres.model.parts import at_items
 from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
@@ -183,19 +178,9 @@ def _service(row: _Row, state: StepState) -> str:
 def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     """Signs, ratings, exclusivity, discs; a battery that is out takes nothing."""
     b = state.site.batteries
-    most = np.minimum(b.p_max_kw, b.s_max_kva) * state.online
     slack = within.power_kw + within.power_share * b.s_max_kva
-    power = np.maximum(row.charge_kw, row.discharge_kw)
-    beyond = np.max(
-        [
-            power - most,
-            -row.charge_kw,
-            -row.discharge_kw,
-            np.minimum(row.charge_kw, row.discharge_kw),
-            np.hypot(row.charge_kw - row.discharge_kw, row.batt_q_kvar) - b.s_max_kva,
-        ],
-        axis=0,
-    )
+    powers = (row.charge_kw, row.discharge_kw, row.batt_q_kvar)
+    beyond = np.max([*power_beyond_kw(b, *powers, state.online).values()], axis=0)
     return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
@@ -241,14 +226,10 @@ def _unformed_supply(row: _Row, state: StepState) -> str:
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
-    b = state.site.batteries
-    stored_kw = cell_kw(row.charge_kw, row.discharge_kw, state.eta_charge, state.eta_discharge)
-    end = soc_after(state.soc, stored_kw, b, state.site.dt_h)
-    # What was outside before may stay there, but not move further out.
-    beyond = np.maximum(
-        end - np.maximum(b.soc_max, state.soc), np.minimum(b.soc_min, state.soc) - end
-    )
-    return _worst("battery energy", b.id, beyond - within.soc, beyond, "of capacity")
+    known = state.batteries_ahead
+    end = known.path(row.charge_kw[np.newaxis], row.discharge_kw[np.newaxis])[1]
+    beyond = np.maximum(*known.soc_beyond(end))
+    return _worst("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
 
 
 def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
