@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import LINES_OUT, Trajectory, supplied
 from vppres.kinds.table import KINDS
@@ -229,24 +229,29 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     served = run.by_step("customers", "served")
     soc = run.by_step("batteries", "soc_end")
     clock = Clock.of(run)
+    at = run.scenario.network.place(run.scenario.customers.bus)
+    total = np.asarray(at.sum(axis=1)).ravel()
+    got = (at @ served.T.astype(float)).T
     return {
         "start": worst_step(run),
         "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
         "bus": _digits(voltage_classes(run, v)),
-        "tile": _digits(_tile_classes(run, served)),
+        "tile": _digits(np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))),
         "line": _digits(loading_classes(run)),
         "served": _digits(served.astype(int)),
         "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
-        "amps": line_current_a(run).round(1).tolist(),
+        "amps": line_current_a(run)[:, : run.scenario.network.n_lines].round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
 
 def loading_classes(run: Trajectory) -> Wholes:
     """Class of each line's loading, shape (T, L): the number of edges that it has reached.
+
+    Ties are not drawn.
 
     Without any ratings the current is taken as a share of the largest of the run. Lines that are
     out of service have a class of their own.
@@ -259,7 +264,8 @@ def loading_classes(run: Trajectory) -> Wholes:
         loading = 0.999 * current / max(float(current.max()), 1e-9)
     day = run.scenario
     out = day.out_of_service(range(day.grid.n_steps)).lines
-    return np.where(out, OUT_OF_SERVICE, np.digitize(loading, LOADING_EDGES))
+    classes = np.digitize(loading[:, : day.network.n_lines], LOADING_EDGES)
+    return np.where(out, OUT_OF_SERVICE, classes)
 
 
 def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
@@ -269,14 +275,6 @@ def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
     classes = np.clip(np.digitize(v, edges) - 1, 0, len(edges) - 2)
     inside = (v >= net.v_min_ac_pu) & (v <= net.v_max_ac_pu)
     return np.where(inside, classes, OUT_OF_LIMITS)
-
-
-def _tile_classes(run: Trajectory, served: Flags) -> Wholes:
-    """Whether all, some or none of a bus's customers are served, shape (T, N)."""
-    at = run.scenario.network.place(run.scenario.customers.bus)
-    total = np.asarray(at.sum(axis=1)).ravel()
-    got = (at @ served.T.astype(float)).T
-    return np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))
 
 
 def _info(run: Trajectory) -> list[str]:

@@ -128,7 +128,7 @@ class _Row:
         )
 
     def inside(self, part: PartState) -> _Row:
-        """What devices of a part of the feeder do, and nothing of the others."""
+        """Powers of devices of a part of the feeder, 0 for all others."""
         return replace(
             self,
             served=self.served * part.customers,
