@@ -23,6 +23,7 @@ from tests.support.live_service import (
     site,
 )
 from tests.support.played_service import played
+from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
@@ -151,6 +152,17 @@ def test_what_is_not_there_is_refused_once(
     assert str(answer.json()).count(words) == 1
     assert http.get("/v1/events").json() == {}
     assert runner.anew() is None
+
+
+def test_a_phased_feeder_refuses_it(tiny: Scenario, tmp_path: Path) -> None:
+    service = Service(three_phases(site(tiny)), replace(HERE, mode="physical"))
+    with client(service, tmp_path, SetClock(NOON)) as http:
+        answer = http.put("/v1/events/x", FAULT)
+    assert answer.status == 422
+    words = (
+        "event, type = fault: is not stated for feeders with phases. Put an event outage or alert"
+    )
+    assert str(answer.json()).count(words) == 1
 
 
 def test_a_step_by_rule_knows_the_parts(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:

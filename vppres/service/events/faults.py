@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.errors import InputError
-from vppres.day.checks import check_faults
+from vppres.day.checks import BALANCED, NOT_STATED
 from vppres.io.messages import did_you_mean
 from vppres.scenario.faults import LineFault, parts_by_bus
 from vppres.scenario.network import BusId, Network
@@ -35,6 +35,9 @@ def check_fault(said: payloads.Event, scenario: Scenario) -> None:
     """
     if not isinstance(said, payloads.Fault):
         return
+    if scenario.phases:
+        cure = f"Put an event outage or alert, or {BALANCED}."
+        raise InputError.of("event", NOT_STATED, cure, field="type", value=said.type)
     field = "bus" if said.line is None else "line"
     name = getattr(said, field)
     network = scenario.network
@@ -46,7 +49,6 @@ def check_fault(said: payloads.Event, scenario: Scenario) -> None:
         message, otherwise = "is not a bus of the feeder", "Give the bus that the line feeds."
         cure = did_you_mean(name, known, otherwise)
         raise InputError.of("event", message, cure, field=field, value=name)
-    check_faults(replace(scenario, faults=(_said(said, network),)))
 
 
 def faults_at(
