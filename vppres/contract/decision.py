@@ -51,20 +51,80 @@ class SolveInfo:
 
 
 @dataclass(frozen=True, eq=False)
-class Decision:
-    """Set-points of one step: row ``row`` of a dispatch."""
+class Switched:
+    """The configuration of a step in which switches may move, and why it is this one.
 
-    dispatch: Dispatch  #: the plan that the step is taken from
-    row: int = 0  #: the step's row in the plan
-    #: How the plan was found; empty where an old plan is followed.
+    Parameters
+    ----------
+    closed : array of bool, shape (E,)
+        Lines and ties that are closed.
+    moved : str
+        Operations of the step, in words.
+    order : tuple of str
+        The operations one after another, each with what it does and the least margin after it.
+    ahead : str
+        Operations that the plan counts on, but that wait.
+    gain : float
+        What they are worth over the window, in weighted customer hours, beyond their price.
+    configurations, bounded, planned : int
+        Configurations in reach, how many ways of cutting the feeder were bounded for all of them,
+        and how many were planned.
+    why : str
+        Why switches move, and what it serves, or why none does.
+    """
+
+    closed: Flags
+    moved: str = ""
+    order: tuple[str, ...] = ()
+    ahead: str = ""
+    gain: float = 0.0
+    configurations: int = 0
+    bounded: int = 0
+    planned: int = 0
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Set-points of one step: row ``row`` of a dispatch.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        The plan that the step is taken from.
+    row : int
+        The step's row in the plan.
+    info : SolveInfo
+        How the plan was found; empty where an old plan is followed.
+    corrected : bool
+        Whether a plan was overruled for this step.
+    reason : str
+        Why it was.
+    fallback : str
+        What replaced the controller's own answer, ``none`` if nothing did.
+    fallback_reason : str
+        Why it had to, and what it leaves open.
+    estimated : str
+        Measurements that were estimated and batteries that are out, in words.
+    weight : array, shape (C,), optional
+        The customers' weights, where they are not the site's.
+    seen : Observation, optional
+        What was taken for true, where that is not what was read.
+    switched : Switched, optional
+        The configuration, in whose order buses and lines stand; None where no switch moves.
+    """
+
+    dispatch: Dispatch
+    row: int = 0
     info: SolveInfo = field(default_factory=SolveInfo)
-    corrected: bool = False  #: whether a plan was overruled for this step
-    reason: str = ""  #: why it was
-    fallback: str = "none"  #: what replaced the controller's own answer, ``none`` if nothing did
-    fallback_reason: str = ""  #: why it had to, and what it leaves open
-    estimated: str = ""  #: measurements that were estimated and batteries that are out, in words
-    weight: Floats | None = None  #: the customers' weights, where they are not the site's, (C,)
-    seen: Observation | None = None  #: what was taken for true, where that is not what was read
+    corrected: bool = False
+    reason: str = ""
+    fallback: str = "none"
+    fallback_reason: str = ""
+    estimated: str = ""
+    weight: Floats | None = None
+    seen: Observation | None = None
+    switched: Switched | None = None
 
 
 class Decider(Protocol):
