@@ -27,7 +27,7 @@ OF_NO_CHAIN = -1
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Chains of a feeder's lines between K buses that stay, each of which but the first ends one."""
+    """Chains of a feeder's lines between K buses that stay; each but the first ends one."""
 
     shares: sp.csr_array  #: what each bus that stays has of each bus, (K, N)
     chain: Wholes  #: chain of each line, ``OF_NO_CHAIN`` where nothing moves behind it, (L,)
