@@ -485,6 +485,8 @@ def reconfigure(
     from vppres.feeders.reconfiguration.sources import feeder_of_network, feeder_of_scenario
     from vppres.feeders.reconfiguration.words import (
         count_words,
+        order_record,
+        order_words,
         outcome_words,
         reconfiguration_record,
     )
@@ -520,10 +522,12 @@ def reconfigure(
             seed=seed,
             progress=bar,
         )
+    order = source.order_to(switched, found.best, limits)
     record = {
         "feeder": source.name,
         **source.record,
         **reconfiguration_record(switched, found, limits),
+        "order": order_record(order),
     }
     written = []
     if out is not None and day is not None:
@@ -533,6 +537,7 @@ def reconfigure(
         record if as_json else None,
         reconfiguration_table(record),
         *outcome_words(switched, found),
+        *order_words(order),
         *written,
     )
 

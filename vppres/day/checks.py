@@ -88,6 +88,9 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
             message = "share supply within tiers, which is for the controller mpc"
             cure = "Leave them at 0, or use the controller mpc."
             yield Problem("options", message, cure, field="rotation and minimum_on_h")
+        if options.move_switches:
+            cure = f"Use {MPC}, or leave the switches as they are."
+            yield Problem("options", f"are not moved by {name}", cure, field="move_switches")
     elif 0.0 < options.horizon_h < grid.dt_h:
         message = f"is shorter than a step of {grid.dt_h:g} h"
         cure = f"Give {grid.dt_h:g} or more, or 0 for the present step alone."
@@ -109,6 +112,7 @@ def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         ("mode", options.mode, options.mode != "physical", "physical"),
         ("controller", options.controller, options.controller != MPC, MPC),
         ("method", options.method, options.method != DECOMPOSED, DECOMPOSED),
+        ("move_switches", options.move_switches, options.move_switches, False),
     ):
         if wrong:
             cure = f"Use {cure}, or {BALANCED}."

@@ -156,6 +156,11 @@ class Plant:
         for kind, state in states.items():
             self.units[kind].state = state
 
+    def go_on_from(self, other: Plant) -> None:
+        """Begin a step in the state of another plant with the same devices."""
+        self.switching, self.owed = other.switching, other.owed
+        self.begin_with({kind: units.state for kind, units in other.units.items()})
+
     def initial_state(self) -> BatteryState:
         """State before the first step."""
         b = self.scenario.batteries

@@ -145,7 +145,7 @@ class Scenario(OfKinds):
     phases : Phases, optional
         The three phases of the feeder; without rows, and false, for a balanced one.
     switches : Switches
-        Closed switches on lines of the network, and open ones beside them; no run moves any.
+        Closed switches on lines of the network, and open ones beside them.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads

@@ -305,6 +305,29 @@ class WindowSolver:
         return self._served(with_ratings_given(self.site, data, before, 1.0), limits, served)
 
     @one_at_a_time
+    def fleet_bound(self, data: WindowData, within_s: float = math.inf) -> float:
+        """Most that F can be in a window whose network carries everything; infinite if unknown.
+
+        Parameters
+        ----------
+        data : WindowData
+            What changes from window to window.
+        within_s : float, optional
+            Time that it may take, in s, where that is less than the limit.
+        """
+        sound = data.with_sound_soc(self.site.batteries)
+        if self.method != "decomposed" or sound.longest_off is not None:
+            return math.inf
+        task = self._task(sound, self.limits.at_most(within_s))
+        require_bounds(task)
+        if worth_everyone(task):
+            everyone_served(task)
+        for rung in rungs(task):
+            if task.goes_on and not task.search.passed:
+                rung()
+        return -math.inf if task.certificate.nothing_to_find else task.certificate.bound
+
+    @one_at_a_time
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
 

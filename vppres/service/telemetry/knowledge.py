@@ -123,6 +123,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
+        "closed": [str(name) for name in scenario.switches.id],
         **{
             name: [str(unit) for unit in getattr(scenario, kind).id]
             for kind, names in OF_KINDS.items()
