@@ -96,13 +96,10 @@ class Outcome:
     buses: int | None = None  #: buses with supply
     #: Largest difference of a node's voltage from OpenDSS's on the untouched file.
     apart_pu: float | None = None
-    #: With the source's impedance and all shunts.
     losses_kw: float | None = None
     losses_source_kw: float | None = None
-    #: How many loads there are.
     loads: int | None = None
     loads_source: int | None = None
-    #: Their nominal power.
     load_kw: float | None = None
     load_source_kw: float | None = None
     seconds: float = 0.0  #: of processors, to import it

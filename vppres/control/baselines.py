@@ -52,18 +52,11 @@ class IdleController:
 
 @dataclass(frozen=True)
 class ReserveRule:
-    """When and how far a reserve is charged.
+    """When and how far a reserve is charged."""
 
-    Parameters
-    ----------
-    soc : float or None
-        State of charge that is kept for an announced outage; the batteries' highest if None.
-    notice_h : float
-        How long before an outage it is announced, in h.
-    """
-
+    #: State of charge that is kept for an announced outage; the batteries' highest if None.
     soc: float | None = None
-    notice_h: float = 6.0
+    notice_h: float = 6.0  #: how long before an outage it is announced, in h
 
     def __post_init__(self) -> None:
         check_group("reserve", self)

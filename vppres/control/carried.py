@@ -21,24 +21,12 @@ S = TypeVar("S")
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """A dispatch of one step and what it leaves open.
+    """A dispatch of one step and what it leaves open."""
 
-    Parameters
-    ----------
-    dispatch : Dispatch
-        One row.
-    reactive_short_kvar : float
-        Reactive power that no device can supply.
-    voltage_excess_pu : float
-        How far the worst bus lies outside the limits of the AC voltages.
-    surplus_kw : float
-        What generating sets give and no customer takes.
-    """
-
-    dispatch: Dispatch
-    reactive_short_kvar: float
-    voltage_excess_pu: float
-    surplus_kw: float = 0.0
+    dispatch: Dispatch  #: one row
+    reactive_short_kvar: float  #: reactive power that no device can supply
+    voltage_excess_pu: float  #: how far the worst bus lies outside the limits of the AC voltages
+    surplus_kw: float = 0.0  #: what generating sets give and no customer takes
 
     @property
     def shortage(self) -> str:

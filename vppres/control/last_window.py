@@ -20,21 +20,11 @@ NO_ROW = -1
 
 @dataclass(frozen=True, eq=False)
 class LastWindow:
-    """Source of the voltage in the last window's steps, and their linearisation.
+    """Source of the voltage in the last window's steps, and their linearisation."""
 
-    Parameters
-    ----------
-    t0 : int
-        Its first step.
-    kinds : array of int, shape (W,)
-        ``GRID``, ``ISLAND`` or ``NO_POWER`` of each step.
-    rows : tuple of array, shape (W, .)
-        Values of each step.
-    """
-
-    t0: int
-    kinds: Wholes
-    rows: tuple[Floats, ...]
+    t0: int  #: its first step
+    kinds: Wholes  #: ``GRID``, ``ISLAND`` or ``NO_POWER`` of each step, (W,)
+    rows: tuple[Floats, ...]  #: values of each step, (W, .)
 
     def rows_for(self, t0: int, data: WindowData) -> Wholes:
         """Row for each step of a window from ``t0``, ``NO_ROW`` for a step that has none.

@@ -73,18 +73,10 @@ class Planner(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class OnePass:
-    """The paper's mode: one solve, linearised at the last AC point.
+    """The paper's mode: one solve, linearised at the last AC point."""
 
-    Parameters
-    ----------
-    solver : WindowSolver
-        Solves the windows.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    """
-
-    solver: WindowSolver
-    centre: Centre = "lossless"
+    solver: WindowSolver  #: solves the windows
+    centre: Centre = "lossless"  #: linearisation centre of the voltages
 
     def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
         """Solution of the observed window, or of its first steps."""

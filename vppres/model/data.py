@@ -27,24 +27,15 @@ from vppres.scenario.network import Network
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """Losses and headroom of physical mode in a window of W steps.
+    """Losses and headroom of physical mode in a window of W steps."""
 
-    Parameters
-    ----------
-    loss_kw, loss_kvar : array, shape (W, L)
-        Losses of the lines at the AC points the window is linearised at, not negative.
-    reference : array of int, shape (W,)
-        Bus that holds the voltage: 0, the grid's, or a grid-forming battery's.
-    headroom_kw : array, shape (W, B)
-        Power that is kept free in both directions.
-    soc_reserve : array, shape (W, B)
-        State of charge that is kept above ``soc_min`` at the end of each step.
-    """
-
+    #: Losses of the lines at the AC points the window is linearised at, not negative, (W, L).
     loss_kw: Floats
     loss_kvar: Floats
+    #: Bus that holds the voltage, (W,): 0, the grid's, or a grid-forming battery's.
     reference: Wholes
-    headroom_kw: Floats
+    headroom_kw: Floats  #: power that is kept free in both directions, (W, B)
+    #: State of charge that is kept above ``soc_min`` at the end of each step, (W, B).
     soc_reserve: Floats
 
     def part(self, steps: slice) -> Physics:
@@ -59,18 +50,10 @@ class Physics:
 
 @dataclass(frozen=True, eq=False)
 class Unspent:
-    """Limits that keep stored energy while PV power is curtailed, in a window of W steps.
+    """Limits that keep stored energy while PV power is curtailed, in a window of W steps."""
 
-    Parameters
-    ----------
-    discharge_kw : array, shape (W, B)
-        Largest discharging power: none where PV power is enough.
-    curtailed_kw : array, shape (W,)
-        Largest curtailed power: none where it is not.
-    """
-
-    discharge_kw: Floats
-    curtailed_kw: Floats
+    discharge_kw: Floats  #: largest discharging power, (W, B): none where PV power is enough
+    curtailed_kw: Floats  #: largest curtailed power, (W,): none where it is not
 
     def part(self, steps: slice) -> Unspent:
         """Some of the steps."""
@@ -79,37 +62,20 @@ class Unspent:
 
 @dataclass(frozen=True, eq=False)
 class PhasedWindow:
-    """Linearisation of a window of W steps on a phased feeder; m voltages have limits.
+    """Linearisation of a window of W steps on a phased feeder; m voltages have limits."""
 
-    Parameters
-    ----------
-    u_offset : array, shape (W, m)
-        Squared voltages with nothing drawn that meet the AC points.
-    former_offset : array of complex, shape (W, 3)
-        The same of the former's power by phase in kVA.
-    u_min, u_max : array, shape (W, m)
-        Limits.
-    room_kva : array, shape (W,)
-        What each phase of the former may carry in steps without grid.
-    bound : array of bool, shape (W, 2, m)
-        Lower and upper limits that bound the last candidate.
-    former_kva : array of complex, shape (W, 3)
-        The former's power by phase at the AC points.
-    current_offset : array of complex, shape (W, k)
-        Currents that have a rating, as shares of it, with nothing drawn that meet the AC points.
-    current_max : array, shape (W, k)
-        Their limits; infinite where nothing limits them.
-    """
-
-    u_offset: Floats
-    former_offset: Complexes
+    u_offset: Floats  #: squared voltages with nothing drawn that meet the AC points, (W, m)
+    former_offset: Complexes  #: the same of the former's power by phase in kVA, (W, 3)
+    #: Limits, (W, m).
     u_min: Floats
     u_max: Floats
-    room_kva: Floats
-    bound: Flags
-    former_kva: Complexes
+    room_kva: Floats  #: what each phase of the former may carry in steps without grid, (W,)
+    bound: Flags  #: lower and upper limits that bound the last candidate, (W, 2, m)
+    former_kva: Complexes  #: the former's power by phase at the AC points, (W, 3)
+    #: Currents that have a rating, as shares of it, with nothing drawn that meet the AC points, (W,
+    #: k).
     current_offset: Complexes
-    current_max: Floats
+    current_max: Floats  #: their limits, (W, k); infinite where nothing limits them
 
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""
@@ -128,85 +94,48 @@ class PhasedWindow:
 
 @dataclass(frozen=True, eq=False)
 class WindowData:
-    """Data that change with every solve, for a window of W steps.
+    """Data that change with every solve, for a window of W steps."""
 
-    Parameters
-    ----------
-    load_kw : array, shape (W, C)
-        Forecast demand.
-    pv_kw : array, shape (W, P)
-        Forecast available PV power.
-    price_gbp_per_kwh : array, shape (W,)
-        Import price.
-    grid_limit_kw : array, shape (W,)
-        Largest import, 0 in an outage, may be infinite.
-    soc : array, shape (B,)
-        State of charge at the beginning of the window.
-    eta_charge, eta_discharge : array, shape (B,)
-        Efficiencies, held over the window (paper, Section 5.2).
-    delta_pu2 : array, shape (W, L)
-        Right-hand side of the delta form of LinDistFlow; zero gives plain LinDistFlow.
-    physics : Physics, optional
-        Losses, island and headroom of physical mode; None is the paper's problem.
-    switching : SwitchingData, optional
-        Rules on switching customers; None is the paper.
-    moves : Moves, optional
-        The previous plan, where moves away from it are to be few; None is the paper.
-    export : Export, optional
-        What the grid takes back; None is the paper's connection, which imports only.
-    drawn : Drawn, optional
-        What the network itself draws; None where it has no shunt, charging or fixed demand.
-    on_before : array of bool, shape (C,), optional
-        Who was on supply just before the window; None if it is not known.
-    open_ended : bool
-        Whether outages may last longer than the window says.
-    ends : bool
-        Whether the run is known to end with the window, so that no outage goes on behind it.
-    terminal : Terminal, optional
-        What batteries are to hold at the end; None, the paper, lets them end empty.
-    stored_value : StoredValue, optional
-        What is left in the batteries at the end is worth; None, the paper, sees nothing behind.
-    own_u_pu2 : array, shape (W, N), optional
-        Squared referred voltages that the feeder has without control, to which its limits give way;
-        NaN where they do not. None, the paper, has hard limits.
-    flow_max_kva : array, shape (W, L), optional
-        Largest flow of each line; None, the paper, has no ratings.
-    phased : PhasedWindow, optional
-        Voltages and former by phase; None for a balanced feeder.
-    owed : Owed, optional
-        What dimmed customers may catch up from before the window; None for nothing.
-    parts : Parts
-        Parts into which lines that are out cut the feeder.
-    unspent : Unspent, optional
-        What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
-    ahead : KindsAhead, optional
-        Vehicles, rooms and generating sets; none if not given.
-    """
-
-    load_kw: Floats
-    pv_kw: Floats
-    price_gbp_per_kwh: Floats
-    grid_limit_kw: Floats
-    soc: Floats
+    load_kw: Floats  #: forecast demand, (W, C)
+    pv_kw: Floats  #: forecast available PV power, (W, P)
+    price_gbp_per_kwh: Floats  #: import price, (W,)
+    grid_limit_kw: Floats  #: largest import, 0 in an outage, may be infinite, (W,)
+    soc: Floats  #: state of charge at the beginning of the window, (B,)
+    #: Efficiencies, held over the window (paper, Section 5.2), (B,).
     eta_charge: Floats
     eta_discharge: Floats
+    #: Right-hand side of the delta form of LinDistFlow, (W, L); zero gives plain LinDistFlow.
     delta_pu2: Floats
+    #: Losses, island and headroom of physical mode; None is the paper's problem.
     physics: Physics | None = None
-    switching: SwitchingData | None = None
+    switching: SwitchingData | None = None  #: rules on switching customers; None is the paper
+    #: The previous plan, where moves away from it are to be few; None is the paper.
     moves: Moves | None = None
+    #: What the grid takes back; None is the paper's connection, which imports only.
     export: Export | None = None
+    #: What the network itself draws; None where it has no shunt, charging or fixed demand.
     drawn: Drawn | None = None
+    #: Who was on supply just before the window, (C,); None if it is not known.
     on_before: Flags | None = None
-    open_ended: bool = False
+    open_ended: bool = False  #: whether outages may last longer than the window says
+    #: Whether the run is known to end with the window, so that no outage goes on behind it.
     ends: bool = False
+    #: What batteries are to hold at the end; None, the paper, lets them end empty.
     terminal: Terminal | None = None
+    #: What is left in the batteries at the end is worth; None, the paper, sees nothing behind.
     stored_value: StoredValue | None = None
+    #: Squared referred voltages that the feeder has without control, to which its limits give way,
+    #: (W, N); NaN where they do not. None, the paper, has hard limits.
     own_u_pu2: Floats | None = None
+    #: Largest flow of each line, (W, L); None, the paper, has no ratings.
     flow_max_kva: Floats | None = None
-    phased: PhasedWindow | None = None
+    phased: PhasedWindow | None = None  #: voltages and former by phase; None for a balanced feeder
+    #: What dimmed customers may catch up from before the window; None for nothing.
     owed: Owed | None = None
-    parts: Parts = field(kw_only=True)
+    parts: Parts = field(kw_only=True)  #: parts into which lines that are out cut the feeder
+    #: What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     unspent: Unspent | None = None
+    #: Vehicles, rooms and generating sets; none if not given.
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
     @classmethod

@@ -59,14 +59,9 @@ def delta_offset(
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Power that the network itself draws in a window: shunts, charging and fixed demand.
+    """Power that the network itself draws in a window: shunts, charging and fixed demand."""
 
-    Parameters
-    ----------
-    kw, kvar : array, shape (W, N)
-        At each bus; negative where it gives power.
-    """
-
+    #: At each bus, (W, N); negative where it gives power.
     kw: Floats
     kvar: Floats
 

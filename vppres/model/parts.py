@@ -17,27 +17,15 @@ from vppres.scenario.network import Network
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of a feeder in W steps: all of it is one where no line is out.
+    """Parts of a feeder in W steps: all of it is one where no line is out."""
 
-    Parameters
-    ----------
-    lines : array of bool, shape (W, L)
-        Lines that are out: they carry nothing.
-    of_bus : array of int, shape (W, N)
-        Number of the part of each bus; 0 is that with the grid's bus.
-    dead : array of bool, shape (W, N)
-        Buses of parts that nothing forms, and buses that are out themselves.
-    reference : array of int, shape (W, N)
-        Bus that holds the voltage of each: the grid's, or that of a battery; -1 in dead parts.
-    forms : array of bool, shape (W, B)
-        Batteries that form a part without grid.
-    """
-
-    lines: Flags
-    of_bus: Wholes
-    dead: Flags
+    lines: Flags  #: lines that are out, (W, L): they carry nothing
+    of_bus: Wholes  #: number of the part of each bus, (W, N); 0 is that with the grid's bus
+    dead: Flags  #: buses of parts that nothing forms, and buses that are out themselves, (W, N)
+    #: Bus that holds the voltage of each, (W, N): the grid's, or that of a battery; -1 in dead
+    #: parts.
     reference: Wholes
-    forms: Flags
+    forms: Flags  #: batteries that form a part without grid, (W, B)
 
     @classmethod
     def one(cls, network: Network, n_batteries: int, n_steps: int) -> Parts:

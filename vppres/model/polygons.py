@@ -16,21 +16,14 @@ from vppres.core.arrays import Floats
 class Polygon:
     """Half planes ``cos(a) P + sin(a) Q <= reach S``, one for each angle.
 
-    Parameters
-    ----------
-    angles : array
-        Directions of the half planes in rad.
-    reach : float
-        Their distance from the origin as a share of the rating.
-
     Examples
     --------
     >>> round(Polygon.inscribed(16).reach, 4)
     0.9808
     """
 
-    angles: Floats
-    reach: float
+    angles: Floats  #: directions of the half planes in rad
+    reach: float  #: their distance from the origin as a share of the rating
 
     @classmethod
     def inscribed(cls, sides: int) -> Polygon:

@@ -64,39 +64,19 @@ SET_NO_BALANCE = "the grid-forming generating set cannot balance the island"
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """One step of an island once everything has settled.
+    """One step of an island once everything has settled."""
 
-    Parameters
-    ----------
-    realised : Realised
-        What really happened; no customer is supplied in a blackout.
-    ac : ACResult
-        AC power flow with exactly zero import; voltages are NaN in a blackout.
-    mismatch_kw : array, shape (B,)
-        What each battery gave beyond its set-point (negative: took).
-    by_set_kw : float
-        What the generating set gave so that forms the grid.
-    former : str
-        The device that was the source; empty where none was, and with grid.
-    off : array of str, shape (C,), or None
-        Why the part of each customer is blacked out if lines are out; empty otherwise.
-    shed : array of bool, shape (C,)
-        Who was to be served and was cut off.
-    dark_reason : str
-        Why the island is blacked out, empty if it is not.
-    ac_failed : str
-        What was shed because the AC power flow had no solution, and why; that none was, because
-        it was only not found; empty if it was.
-    """
-
-    realised: Realised
-    ac: ACResult
-    mismatch_kw: Floats
-    shed: Flags
-    dark_reason: str = ""
+    realised: Realised  #: what really happened; no customer is supplied in a blackout
+    ac: ACResult  #: AC power flow with exactly zero import; voltages are NaN in a blackout
+    mismatch_kw: Floats  #: what each battery gave beyond its set-point (negative, (B,): took)
+    shed: Flags  #: who was to be served and was cut off, (C,)
+    dark_reason: str = ""  #: why the island is blacked out, empty if it is not
+    #: What was shed because the AC power flow had no solution, and why; that none was, because it
+    #: was only not found; empty if it was.
     ac_failed: str = ""
-    by_set_kw: float = 0.0
-    former: str = ""
+    by_set_kw: float = 0.0  #: what the generating set gave so that forms the grid
+    former: str = ""  #: the device that was the source; empty where none was, and with grid
+    #: Why the part of each customer is blacked out if lines are out, (C,); empty otherwise.
     off: Names | None = None
 
     @property

@@ -38,36 +38,16 @@ NO_OWN_VALUES = OwnValues()
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A dispatch with its objective terms.
+    """A dispatch with its objective terms."""
 
-    Parameters
-    ----------
-    data : WindowData
-        The window, with the demand that the supply schedule brings about.
-    dispatch : Dispatch
-        What would be carried out.
-    terms : Terms
-        Its objective terms.
-    service : float
-        f1 and f3 as weighted, and f6: F without cost and tie-breakers.
-    value : float
-        F without the tie-breakers.
-    cost_bound_gbp : float
-        What its supply schedule costs at least.
-    in_network : bool
-        Whether flows, reactive power and voltages have been found too.
-    own : OwnValues
-        What only the page has.
-    """
-
-    data: WindowData
-    dispatch: Dispatch
-    terms: Terms
-    service: float
-    value: float
-    cost_bound_gbp: float
-    in_network: bool
-    own: OwnValues = NO_OWN_VALUES
+    data: WindowData  #: the window, with the demand that the supply schedule brings about
+    dispatch: Dispatch  #: what would be carried out
+    terms: Terms  #: its objective terms
+    service: float  #: f1 and f3 as weighted, and f6: F without cost and tie-breakers
+    value: float  #: F without the tie-breakers
+    cost_bound_gbp: float  #: what its supply schedule costs at least
+    in_network: bool  #: whether flows, reactive power and voltages have been found too
+    own: OwnValues = NO_OWN_VALUES  #: what only the page has
 
     @classmethod
     def of(

@@ -39,29 +39,14 @@ class Numbers:
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """A constraint compiled by itself.
+    """A constraint compiled by itself."""
 
-    Parameters
-    ----------
-    rows : Linear
-        Equalities, then limits from above, on columns and parameters of its own.
-    equalities : int
-        How many rows are equalities.
-    first : dict
-        First column of each variable, by cvxpy's number of it.
-    parameters : list
-        Parameters with their first places.
-    width : int
-        Parameters and one more.
-    lower, upper : array
-        Bounds of the columns, those that cvxpy made among them.
-    """
-
-    rows: Linear
-    equalities: int
-    first: dict[int, int]
-    parameters: list[tuple[cp.Parameter, int]]
-    width: int
+    rows: Linear  #: equalities, then limits from above, on columns and parameters of its own
+    equalities: int  #: how many rows are equalities
+    first: dict[int, int]  #: first column of each variable, by cvxpy's number of it
+    parameters: list[tuple[cp.Parameter, int]]  #: parameters with their first places
+    width: int  #: parameters and one more
+    #: Bounds of the columns, those that cvxpy made among them.
     lower: Floats
     upper: Floats
 

@@ -37,30 +37,17 @@ WITHOUT_NETWORK = (
 
 @dataclass(frozen=True)
 class Form:
-    """Which variant of the problem is meant.
+    """Which variant of the problem is meant."""
 
-    Parameters
-    ----------
-    level : {"service", "cost"}
-        ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
-    service : {"integer", "relaxed", "fixed"}
-        What the binaries x_served are.
-    exclusivity : {"integer", "relaxed"}
-        What the binaries of batteries and of the connection are.
-    polygon_sides : int
-        0 states the inverters as cones, otherwise as polygons.
-    outer : bool
-        Whether polygons contain the discs, for bounds, or lie inside them, for dispatches.
-    network : bool
-        Whether flows, reactive power and voltages are part of the problem; without them it is a
-        relaxation.
-    """
-
+    #: ``service`` maximises f1, f2 and f3 as weighted; ``cost`` minimises f2 and f3 as weighted.
     level: Level = "service"
-    service: Mode = "integer"
-    exclusivity: Mode = "integer"
-    polygon_sides: int = 0
+    service: Mode = "integer"  #: what the binaries x_served are
+    exclusivity: Mode = "integer"  #: what the binaries of batteries and of the connection are
+    polygon_sides: int = 0  #: 0 states the inverters as cones, otherwise as polygons
+    #: Whether polygons contain the discs, for bounds, or lie inside them, for dispatches.
     outer: bool = False
+    #: Whether flows, reactive power and voltages are part of the problem; without them it is a
+    #: relaxation.
     network: bool = True
 
     @property

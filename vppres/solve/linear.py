@@ -14,22 +14,14 @@ from vppres.core.arrays import Floats, Wholes
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Rows ``matrix @ x`` with their limits, entry by entry.
+    """Rows ``matrix @ x`` with their limits, entry by entry."""
 
-    Parameters
-    ----------
-    row, column : array of int, shape (E,)
-        Where an entry stands. The column behind the last one has the limits.
-    by : sparse array, shape (E, parameters + 1)
-        What the entry is for the parameters' values with a 1 behind them.
-    shape : tuple of int
-        Rows and columns, that of the limits not among them.
-    """
-
+    #: Where an entry stands, (E,). The column behind the last one has the limits.
     row: Wholes
     column: Wholes
+    #: What the entry is for the parameters' values with a 1 behind them, (E, parameters + 1).
     by: sp.csr_array
-    shape: tuple[int, int]
+    shape: tuple[int, int]  #: rows and columns, that of the limits not among them
 
     @classmethod
     def constant(cls, matrix: sp.coo_array, limit: Floats, width: int) -> Linear:

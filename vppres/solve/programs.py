@@ -83,27 +83,17 @@ needed there, and sums to branch on. Of 13 windows three more stayed open withou
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Minimise ``cost @ x`` where ``lower <= rows @ x <= upper``, with bounds on x.
+    """Minimise ``cost @ x`` where ``lower <= rows @ x <= upper``, with bounds on x."""
 
-    Attributes
-    ----------
-    cost, x_lower, x_upper : array, shape (n,)
-        Objective and bounds of the columns.
-    rows : sparse array, shape (m, n)
-        Left-hand sides.
-    lower, upper : array, shape (m,)
-        Right-hand sides, infinite where there is none.
-    integer : array
-        Positions of the columns that are whole numbers.
-    """
-
+    #: Objective and bounds of the columns, (n,).
     cost: Floats
     x_lower: Floats
     x_upper: Floats
-    rows: sp.csc_array
+    rows: sp.csc_array  #: left-hand sides, (m, n)
+    #: Right-hand sides, infinite where there is none, (m,).
     lower: Floats
     upper: Floats
-    integer: Wholes
+    integer: Wholes  #: positions of the columns that are whole numbers
 
     def with_rows(self, rows: sp.csc_array, lower: Floats) -> Program:
         """The program with rows ``rows @ x >= lower`` more."""

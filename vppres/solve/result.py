@@ -96,19 +96,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class SolveLimits:
-    """When a solve may stop.
+    """When a solve may stop."""
 
-    Parameters
-    ----------
-    gap_rel, gap_abs : float
-        Gaps on the objective; both must hold.
-    time_s : float
-        Time limit of one window in seconds.
-    """
-
+    #: Gaps on the objective; both must hold.
     gap_rel: float = 1e-4
     gap_abs: float = 5e-3
-    time_s: float = 60.0
+    time_s: float = 60.0  #: time limit of one window in seconds
 
     def __post_init__(self) -> None:
         check_group("limits", self)
@@ -144,46 +137,30 @@ class SolveLimits:
 
 @dataclass(frozen=True, eq=False)
 class WindowSolution:
-    """A window's dispatch and what is proven about it.
+    """A window's dispatch and what is proven about it."""
 
-    Parameters
-    ----------
-    dispatch : Dispatch
-        Feasible for the true problem within solver tolerances.
-    terms : Terms
-        Objective terms of the dispatch.
-    objective, bound : float
-        Paper's objective F of the dispatch and a proven upper bound on it.
-    status : Status
-        ``OPTIMAL`` if the gap is within the limits, otherwise ``TIME_LIMIT`` or ``GAP_OPEN``.
-    service_gap : float
-        How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
-        hours.
-    cost_gap_gbp : float
-        How much cheaper the same service could at most be had, over all supply schedules, in GBP.
-    solve_s, solver_s : float
-        Wall time of the window in seconds, and the part of it inside solvers.
-    stages : tuple of str
-        What was solved, in order, with its solver and, if not optimal, its status:
-        ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
-    passes : int
-        Linearisations that the dispatch took; with more than one, objective, bound and gaps are
-        those of the window as it was linearised when the supply schedule was decided.
-    loss_kw : array, shape (W,), optional
-        Losses that the dispatch pays for; None in the paper's mode, which has none.
-    """
-
-    dispatch: Dispatch
-    terms: Terms
+    dispatch: Dispatch  #: feasible for the true problem within solver tolerances
+    terms: Terms  #: objective terms of the dispatch
+    #: Paper's objective F of the dispatch and a proven upper bound on it.
     objective: float
     bound: float
+    #: ``OPTIMAL`` if the gap is within the limits, otherwise ``TIME_LIMIT`` or ``GAP_OPEN``.
     status: Status
+    #: How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
+    #: hours.
     service_gap: float
+    #: How much cheaper the same service could at most be had, over all supply schedules, in GBP.
     cost_gap_gbp: float
+    #: Wall time of the window in seconds, and the part of it inside solvers.
     solve_s: float
     solver_s: float
+    #: What was solved, in order, with its solver and, if not optimal, its status:
+    #: ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
     stages: tuple[str, ...] = ()
+    #: Linearisations that the dispatch took; with more than one, objective, bound and gaps are
+    #: those of the window as it was linearised when the supply schedule was decided.
     passes: int = 1
+    #: Losses that the dispatch pays for, (W,); None in the paper's mode, which has none.
     loss_kw: Floats | None = None
 
     @property

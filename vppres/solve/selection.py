@@ -249,35 +249,19 @@ class Selection:
     """Selection of the statement that a method takes.
 
     A selection is made by steps, each of which gives another one.
-
-    Parameters
-    ----------
-    sheet : Sheet
-        The compiled statement.
-    parts : tuple of Family
-        Rows, sums of rows among them, in the solver's order but for their kind.
-    terms : tuple
-        Terms, one row each, with their factors.
-    maximises : bool
-        Whether the sum of the terms is maximised.
-    held : set of str
-        Letters that are no columns: a window writes their values.
-    relaxed : mapping
-        Limits of letters that are no whole numbers here.
-    squares : mapping
-        Weight of the square of each entry, by letters; they are minimised.
-    order : tuple of str
-        Letters that come before the others.
     """
 
-    sheet: Sheet
+    sheet: Sheet  #: the compiled statement
+    #: Rows, sums of rows among them, in the solver's order but for their kind.
     parts: tuple[Family, ...] = ()
-    terms: tuple[tuple[Family, float], ...] = ()
-    maximises: bool = False
-    held: Set[str] = frozenset()
+    terms: tuple[tuple[Family, float], ...] = ()  #: terms, one row each, with their factors
+    maximises: bool = False  #: whether the sum of the terms is maximised
+    held: Set[str] = frozenset()  #: letters that are no columns: a window writes their values
+    #: Limits of letters that are no whole numbers here.
     relaxed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: Weight of the square of each entry, by letters; they are minimised.
     squares: Mapping[str, Floats] = field(default_factory=dict)
-    order: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()  #: letters that come before the others
 
     def keep(self, *names: str) -> Selection:
         """Copy with all rows of some families."""

@@ -34,18 +34,12 @@ RATED = {
 
 @dataclass(frozen=True, eq=False)
 class FixedDecisions:
-    """Decisions of the record that the pricing problem holds, for a window of W steps.
+    """Decisions of the record that the pricing problem holds, for a window of W steps."""
 
-    Parameters
-    ----------
-    service_min, service_max : array, shape (W, C)
-        Bounds on the share of each customer that is served.
-    mode_min, mode_max : array, shape (B,)
-        Bounds on the mode of each battery in the first step: 1 charges, 0 discharges.
-    """
-
+    #: Bounds on the share of each customer that is served, (W, C).
     service_min: Floats
     service_max: Floats
+    #: Bounds on the mode of each battery in the first step, (B,): 1 charges, 0 discharges.
     mode_min: Floats
     mode_max: Floats
 

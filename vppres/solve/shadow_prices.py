@@ -29,110 +29,66 @@ from vppres.solve.turns import one_at_a_time
 
 @dataclass(frozen=True, eq=False)
 class PhasePrices:
-    """Part of limits of a phased feeder in the price of 1 kW or 1 kvar at each of D assets.
+    """Part of limits of a phased feeder in the price of 1 kW or 1 kvar at each of D assets."""
 
-    Parameters
-    ----------
-    active, reactive : array, shape (3, D)
-        Phases of the former.
-    rated_active, rated_reactive : array, shape (k, D)
-        Ratings of lines and coils.
-    by_voltage, by_voltage_kvar : array, shape (D,)
-        Limits of voltages.
-    """
-
+    #: Phases of the former, (3, D).
     active: Floats
     reactive: Floats
+    #: Ratings of lines and coils, (k, D).
     rated_active: Floats
     rated_reactive: Floats
+    #: Limits of voltages, (D,).
     by_voltage: Floats
     by_voltage_kvar: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowPrices:
-    """Gain of the objective for one more unit, in its unit: weighted customer hours or GBP.
+    """Gain of the objective for one more unit, in its unit: weighted customer hours or GBP."""
 
-    Parameters
-    ----------
-    stored_energy : array, shape (B,)
-        For 1 kWh more in each battery at the beginning of the step.
-    kept_energy : array, shape (B,)
-        For 1 kWh more in each battery at the end of the step.
-    energy_floor, energy_ceiling : array, shape (B,)
-        For 1 kWh more that may be taken out or put in, over the whole window.
-    battery_charging, battery_discharging : array, shape (B,)
-        For 1 kW more rated power of a battery that charges or discharges.
-    battery_inverter, pv_inverter : array, shape (B,) and (P,)
-        For 1 kVA more of the inverter.
-    voltage_floor, voltage_ceiling : array, shape (N,)
-        For a limit that lies 0.001 pu further out, at each bus, with phases at all its nodes.
-    line_rating : array, shape (L,)
-        For 1 kVA more through each line; of a phased feeder through each phase of one, (k,).
-    former_phase : array, shape (3,)
-        For 1 kVA more on each phase of the former; none of a balanced feeder.
-    line_active, line_reactive : array, shape (N,)
-        What ratings of lines make of the price of 1 kW or 1 kvar at each bus.
-    grid : float
-        For 1 kW more that may be imported, less its price.
-    active, reactive : array, shape (N,)
-        For 1 kW or 1 kvar put into each bus throughout the step.
-    service : array, shape (C,)
-        For serving each customer in the step: its weight less what its supply is worth to others.
-    phases : PhasePrices or None
-        What phases make of these prices; None for a balanced feeder.
-    """
-
-    stored_energy: Floats
-    kept_energy: Floats
+    stored_energy: Floats  #: for 1 kWh more in each battery at the beginning of the step, (B,)
+    kept_energy: Floats  #: for 1 kWh more in each battery at the end of the step, (B,)
+    #: For 1 kWh more that may be taken out or put in, over the whole window, (B,).
     energy_floor: Floats
     energy_ceiling: Floats
+    #: For 1 kW more rated power of a battery that charges or discharges, (B,).
     battery_charging: Floats
     battery_discharging: Floats
+    #: For 1 kVA more of the inverter, (B,) and (P,).
     battery_inverter: Floats
     pv_inverter: Floats
+    #: For a limit that lies 0.001 pu further out, at each bus, with phases at all its nodes, (N,).
     voltage_floor: Floats
     voltage_ceiling: Floats
+    #: For 1 kVA more through each line, (L,); of a phased feeder through each phase of one, (k,).
     line_rating: Floats
+    #: For 1 kVA more on each phase of the former, (3,); none of a balanced feeder.
     former_phase: Floats
+    #: What ratings of lines make of the price of 1 kW or 1 kvar at each bus, (N,).
     line_active: Floats
     line_reactive: Floats
-    grid: float
+    grid: float  #: for 1 kW more that may be imported, less its price
+    #: For 1 kW or 1 kvar put into each bus throughout the step, (N,).
     active: Floats
     reactive: Floats
+    #: For serving each customer in the step, (C,): its weight less what its supply is worth to
+    #: others.
     service: Floats
+    #: What phases make of these prices; None for a balanced feeder.
     phases: PhasePrices | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class PricedWindow:
-    """The pricing problem's answer.
+    """The pricing problem's answer."""
 
-    Parameters
-    ----------
-    value : float
-        The objective: weighted customer hours, or GBP where the cost is priced.
-    served_share : array, shape (W, C)
-        Share of each customer that is served.
-    curtailed_kwh : float
-        PV energy curtailed in the window.
-    battery_kw : array, shape (W, B)
-        Power of each battery, charging positive.
-    soc : array, shape (W + 1, B)
-        State of charge, the first row at the beginning.
-    prices : ShadowPrices
-        What one more unit would have bought.
-    solver_s : float
-        Time in the solver in s.
-    """
-
-    value: float
-    served_share: Floats
-    curtailed_kwh: float
-    battery_kw: Floats
-    soc: Floats
-    prices: ShadowPrices
-    solver_s: float
+    value: float  #: the objective: weighted customer hours, or GBP where the cost is priced
+    served_share: Floats  #: share of each customer that is served, (W, C)
+    curtailed_kwh: float  #: PV energy curtailed in the window
+    battery_kw: Floats  #: power of each battery, charging positive, (W, B)
+    soc: Floats  #: state of charge, the first row at the beginning, (W + 1, B)
+    prices: ShadowPrices  #: what one more unit would have bought
+    solver_s: float  #: time in the solver in s
 
 
 @one_at_a_time

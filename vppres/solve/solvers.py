@@ -33,21 +33,11 @@ number that a large one has as a variable or in a constraint, with cones or with
 
 @dataclass(frozen=True)
 class CvxpyResult:
-    """How a solve by way of cvxpy ended.
+    """How a solve by way of cvxpy ended."""
 
-    Parameters
-    ----------
-    word : str
-        cvxpy's word for it.
-    stats : object
-        The solver's own figures.
-    has_values : bool
-        Whether its variables got values.
-    """
-
-    word: str
-    stats: Any
-    has_values: bool
+    word: str  #: cvxpy's word for it
+    stats: Any  #: the solver's own figures
+    has_values: bool  #: whether its variables got values
 
 
 class Interface(NamedTuple):
@@ -70,24 +60,14 @@ class Interface(NamedTuple):
 
 @dataclass(frozen=True)
 class SolverSpec:
-    """One row of the table.
+    """One row of the table."""
 
-    Parameters
-    ----------
-    name : str
-        Name on the command line.
-    cvxpy_name : str
-        Name in cvxpy.
-    mip_cones : bool
-        Whether it takes second-order cones together with binaries; otherwise inverters become
-        polygons.
-    interface : Interface, optional
-        How cvxpy asks it; HiGHS, which has none, is asked directly.
-    """
-
-    name: str
-    cvxpy_name: str
+    name: str  #: name on the command line
+    cvxpy_name: str  #: name in cvxpy
+    #: Whether it takes second-order cones together with binaries; otherwise inverters become
+    #: polygons.
     mip_cones: bool
+    #: How cvxpy asks it; HiGHS, which has none, is asked directly.
     interface: Interface | None = None
 
     @property

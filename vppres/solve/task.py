@@ -38,35 +38,16 @@ window in which time ran out during the search still gets the dispatch of the se
 
 @dataclass(frozen=True, eq=False)
 class WindowTask:
-    """Shared state of the stages of a window: data, limits, certificate and found sets.
+    """Shared state of the stages of a window: data, limits, certificate and found sets."""
 
-    Parameters
-    ----------
-    data : WindowData
-        The window.
-    cache : ModelCache
-        Compiled problems of the site.
-    limits : SolveLimits
-        Gaps and time limit.
-    spec : SolverSpec
-        Solver of the problems that follow the choice of a solver.
-    sides : int
-        Sides of the inverters' polygons in problems with binaries, 0 for cones.
-    deadline : Deadline
-        When the window's time limit is reached.
-    certificate : Certificate
-        What is known so far.
-    masters : dict
-        Those without the network by whether they lump the fleet, each made once.
-    """
-
-    data: WindowData
-    cache: ModelCache
-    limits: SolveLimits
-    spec: SolverSpec
-    sides: int
-    deadline: Deadline
-    certificate: Certificate
+    data: WindowData  #: the window
+    cache: ModelCache  #: compiled problems of the site
+    limits: SolveLimits  #: gaps and time limit
+    spec: SolverSpec  #: solver of the problems that follow the choice of a solver
+    sides: int  #: sides of the inverters' polygons in problems with binaries, 0 for cones
+    deadline: Deadline  #: when the window's time limit is reached
+    certificate: Certificate  #: what is known so far
+    #: Those without the network by whether they lump the fleet, each made once.
     masters: dict[bool, Any] = field(default_factory=dict)
 
     @classmethod

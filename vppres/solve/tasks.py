@@ -33,32 +33,18 @@ def _own_parts() -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Setup of a solver.
+    """Setup of a solver."""
 
-    Parameters
-    ----------
-    factory : callable
-        Makes the solver of the fields that follow; a class or function of a module, so that its
-        name is all that crosses the socket.
-    site : Site
-        Fixed data.
-    method, solver : str
-        Names of the method and in the table of solvers.
-    limits : SolveLimits
-        Gaps and time limit of a window.
-    polygon_sides : int
-        Sides of an inverter's polygon.
-    own : tuple of str
-        Your own parts that the problem has.
-    """
-
+    #: Makes the solver of the fields that follow; a class or function of a module, so that its name
+    #: is all that crosses the socket.
     factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
-    site: Site
+    site: Site  #: fixed data
+    #: Names of the method and in the table of solvers.
     method: str
     solver: str
-    limits: SolveLimits
-    polygon_sides: int
-    own: tuple[str, ...] = field(default_factory=_own_parts)
+    limits: SolveLimits  #: gaps and time limit of a window
+    polygon_sides: int  #: sides of an inverter's polygon
+    own: tuple[str, ...] = field(default_factory=_own_parts)  #: your own parts that the problem has
 
     @cached_property
     def key(self) -> str:
@@ -89,23 +75,12 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A method of a solver to be called.
+    """A method of a solver to be called."""
 
-    Parameters
-    ----------
-    key : str
-        Of the solver's setup.
-    method : str
-        Name of the method.
-    args : tuple
-        What it is called with.
-    setup : Setup, optional
-        Of a solver that the process may not have yet; sites are sent once.
-    """
-
-    key: str
-    method: str
-    args: tuple[Any, ...]
+    key: str  #: of the solver's setup
+    method: str  #: name of the method
+    args: tuple[Any, ...]  #: what it is called with
+    #: Of a solver that the process may not have yet; sites are sent once.
     setup: Setup | None = None
 
 

@@ -34,21 +34,11 @@ RETRY_STEPS = 3
 
 @dataclass(frozen=True, eq=False)
 class StateEstimate:
-    """Estimated state of a step.
+    """Estimated state of a step."""
 
-    Parameters
-    ----------
-    observation : Observation
-        Every measurement finite and plausible.
-    online : array of bool, shape (B,)
-        Batteries that can be used.
-    estimated : str
-        What was not measured, in words; empty if everything was.
-    """
-
-    observation: Observation
-    online: Flags
-    estimated: str
+    observation: Observation  #: every measurement finite and plausible
+    online: Flags  #: batteries that can be used, (B,)
+    estimated: str  #: what was not measured, in words; empty if everything was
 
 
 class Estimator:

@@ -26,40 +26,20 @@ SAME_H = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StoredEnergy:
-    """Energy that was stored since a time; (B,) each.
+    """Energy that was stored since a time; (B,) each."""
 
-    Parameters
-    ----------
-    share : array
-        As a share of capacity, negative where it was given.
-    loose : array
-        By how much of the capacity that may be off.
-    evident : array of bool
-        Whether all power since then was measured.
-    """
-
-    share: Floats
-    loose: Floats
-    evident: Flags
+    share: Floats  #: as a share of capacity, negative where it was given
+    loose: Floats  #: by how much of the capacity that may be off
+    evident: Flags  #: whether all power since then was measured
 
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Power of batteries, which stays as it is from one time to the next.
+    """Power of batteries, which stays as it is from one time to the next."""
 
-    Parameters
-    ----------
-    begun_h : array, shape (K,)
-        Times, in h since the beginning of the controller's first step.
-    cell_kw : array, shape (K, B)
-        Power into the cells.
-    measured : array of bool, shape (K, B)
-        Whether it was measured; otherwise it was ordered.
-    """
-
-    begun_h: Floats
-    cell_kw: Floats
-    measured: Flags
+    begun_h: Floats  #: times, in h since the beginning of the controller's first step, (K,)
+    cell_kw: Floats  #: power into the cells, (K, B)
+    measured: Flags  #: whether it was measured, (K, B); otherwise it was ordered
 
     @classmethod
     def nothing(cls, n_batteries: int) -> Moved:

@@ -30,39 +30,20 @@ SAME_MOMENT_H = 1.0 / 3600.0
 
 @dataclass(frozen=True, eq=False)
 class SocReckoning:
-    """Estimated state of charge; (B,) each.
+    """Estimated state of charge; (B,) each."""
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    at_h : float
-        The time, in h since the beginning of the controller's first step.
-    reading : array
-        Last plausible reading, NaN before the first.
-    read_h : array
-        When it was read.
-    soc : array
-        What is taken for true: the newest reading that is trusted, and what was stored since.
-    band : array
-        By how much that may be off, as a share of capacity.
-    reckoned : array
-        What it would be by the power since the reading last moved.
-    evident : array of bool
-        Whether all power since then was measured: what was only ordered proves nothing.
-    trusted, frozen, jumped : array of bool
-        Whether there is a new reading that is trusted; whether it is not as it stands still, or as
-        it jumped.
-    """
-
-    site: Site
-    at_h: float
-    reading: Floats
-    read_h: Floats
+    site: Site  #: fixed data
+    at_h: float  #: the time, in h since the beginning of the controller's first step
+    reading: Floats  #: last plausible reading, NaN before the first
+    read_h: Floats  #: when it was read
+    #: What is taken for true: the newest reading that is trusted, and what was stored since.
     soc: Floats
-    band: Floats
-    reckoned: Floats
+    band: Floats  #: by how much that may be off, as a share of capacity
+    reckoned: Floats  #: what it would be by the power since the reading last moved
+    #: Whether all power since then was measured: what was only ordered proves nothing.
     evident: Flags
+    #: Whether there is a new reading that is trusted; whether it is not as it stands still, or as
+    #: it jumped.
     trusted: Flags
     frozen: Flags
     jumped: Flags

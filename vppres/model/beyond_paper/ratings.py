@@ -26,18 +26,10 @@ FAMILY = "line_rating"
 
 @dataclass(frozen=True, eq=False)
 class LineRatings(Addition):
-    """Largest apparent power of each line that has a rating, shape (W, rated lines).
+    """Largest apparent power of each line that has a rating, shape (W, rated lines)."""
 
-    Parameters
-    ----------
-    lines : array
-        Lines with a rating.
-    S_line : cvxpy.Parameter
-        Their largest flow.
-    """
-
-    lines: Wholes
-    S_line: cp.Parameter
+    lines: Wholes  #: lines with a rating
+    S_line: cp.Parameter  #: their largest flow
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -41,29 +41,17 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
 
 @dataclass(frozen=True, eq=False)
 class ValueAtEnd(Addition):
-    """Variables and parameters of the value of what is stored at the end of a window.
+    """Variables and parameters of the value of what is stored at the end of a window."""
 
-    Parameters
-    ----------
-    stored : cvxpy.Variable
-        Energy of all batteries and tanks in kWh; a variable, since limits with parameters stand
-        beside it.
-    kept : cvxpy.Variable
-        What it is worth, in weighted customer hours.
-    slope, offset : cvxpy.Parameter, shape (K,)
-        The lines.
-    gbp : cvxpy.Parameter
-        What it takes off the cost for each weighted customer hour.
-    share : cvxpy.Parameter
-        1 where it counts as service, otherwise 0.
-    """
-
+    #: Energy of all batteries and tanks in kWh; a variable, since limits with parameters stand
+    #: beside it.
     stored: cp.Variable
-    kept: cp.Variable
+    kept: cp.Variable  #: what it is worth, in weighted customer hours
+    #: The lines, (K,).
     slope: cp.Parameter
     offset: cp.Parameter
-    gbp: cp.Parameter
-    share: cp.Parameter
+    gbp: cp.Parameter  #: what it takes off the cost for each weighted customer hour
+    share: cp.Parameter  #: 1 where it counts as service, otherwise 0
 
     # What is left stays worth as much as in a dispatch, and has no part in the cost then.
     by_dispatch: ClassVar[tuple[str, ...]] = ("kept",)

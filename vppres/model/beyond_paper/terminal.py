@@ -27,21 +27,11 @@ from vppres.model.variables import Parameters, Variables
 
 @dataclass(frozen=True, eq=False)
 class HeldAtEnd(Addition):
-    """Variable and parameters of what batteries are to hold at the end.
+    """Variable and parameters of what batteries are to hold at the end."""
 
-    Parameters
-    ----------
-    missing : cvxpy.Variable, shape (B,)
-        Energy that is missing in kWh.
-    target_kwh : cvxpy.Parameter, shape (B,)
-        Energy that is to be held.
-    price : cvxpy.Parameter
-        Price of a missing kWh in GBP.
-    """
-
-    missing: cp.Variable
-    target_kwh: cp.Parameter
-    price: cp.Parameter
+    missing: cp.Variable  #: energy that is missing in kWh, (B,)
+    target_kwh: cp.Parameter  #: energy that is to be held, (B,)
+    price: cp.Parameter  #: price of a missing kWh in GBP
 
     of_batteries: ClassVar[tuple[str, ...]] = ("E_missing",)
 

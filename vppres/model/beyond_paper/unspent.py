@@ -73,18 +73,10 @@ def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class StoredIsKept(Addition):
-    """Parameters of what batteries may give and of what may be curtailed.
+    """Parameters of what batteries may give and of what may be curtailed."""
 
-    Parameters
-    ----------
-    given : cvxpy.Parameter, shape (W, B)
-        Largest discharging power.
-    curtailed : cvxpy.Parameter, shape (W,)
-        Largest curtailed power of all systems.
-    """
-
-    given: cp.Parameter
-    curtailed: cp.Parameter
+    given: cp.Parameter  #: largest discharging power, (W, B)
+    curtailed: cp.Parameter  #: largest curtailed power of all systems, (W,)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -22,24 +22,16 @@ class OneBattery:
 
     It charges whenever there is power to spare: more energy never hurts. What it lacks of power or
     energy is forgiven as a solver forgives it in its rows, or it would bound what these reach.
-
-    Attributes
-    ----------
-    stored_kwh, most_kwh : float
-        Energy before the window, and the most that it may charge to.
-    least_kwh, power_kw : array, shape (W,)
-        Least energy at the end of each step, and power, less what physical mode keeps free.
-    given_kw : array, shape (W,)
-        PV power and the most import, less what the network takes.
-    per_charged, per_discharged : float
-        Energy for a kW of a step.
     """
 
+    #: Energy before the window, and the most that it may charge to.
     stored_kwh: float
     most_kwh: float
+    #: Least energy at the end of each step, and power, less what physical mode keeps free, (W,).
     least_kwh: Floats
     power_kw: Floats
-    given_kw: Floats
+    given_kw: Floats  #: PV power and the most import, less what the network takes, (W,)
+    #: Energy for a kW of a step.
     per_charged: float
     per_discharged: float
 

@@ -28,20 +28,11 @@ MOST_WORK = 4e8
 
 @dataclass(frozen=True, eq=False)
 class Losses:
-    """Ways to lose service in a step, each with less demand than all that lose no more.
+    """Ways to lose service in a step, each with less demand than all that lose no more."""
 
-    Attributes
-    ----------
-    units : array of int, shape (n,)
-        Units lost, increasing.
-    saved_kw : array, shape (n,)
-        Demand that is left out, increasing.
-    left_out : array of int, shape (n, K)
-        How many customers of each weight are left out: those with the largest demand.
-    """
-
-    units: Wholes
-    saved_kw: Floats
+    units: Wholes  #: units lost, increasing, (n,)
+    saved_kw: Floats  #: demand that is left out, increasing, (n,)
+    #: How many customers of each weight are left out, (n, K): those with the largest demand.
     left_out: Wholes
 
     @classmethod

@@ -27,24 +27,12 @@ OF_NO_CHAIN = -1
 
 @dataclass(frozen=True, eq=False)
 class Chains:
-    """Chains of a feeder's lines between K buses that stay, each of which but the first ends one.
+    """Chains of a feeder's lines between K buses that stay; each but the first ends one."""
 
-    Parameters
-    ----------
-    shares : sparse array, shape (K, N)
-        What each bus that stays has of each bus.
-    chain : array, shape (L,)
-        Chain of each line, ``OF_NO_CHAIN`` where nothing moves behind it.
-    line : array, shape (K - 1,)
-        A line of each chain.
-    factor : array, shape (K - 1,)
-        What the mean flow has of that line's.
-    """
-
-    shares: sp.csr_array
-    chain: Wholes
-    line: Wholes
-    factor: Floats
+    shares: sp.csr_array  #: what each bus that stays has of each bus, (K, N)
+    chain: Wholes  #: chain of each line, ``OF_NO_CHAIN`` where nothing moves behind it, (L,)
+    line: Wholes  #: a line of each chain, (K - 1,)
+    factor: Floats  #: what the mean flow has of that line's, (K - 1,)
 
     @classmethod
     def of(cls, site: Site) -> Chains:

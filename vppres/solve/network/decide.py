@@ -124,18 +124,10 @@ def decided_anew(
 
 @dataclass(frozen=True, eq=False)
 class InNetwork:
-    """Decides a window by the master in the network.
+    """Decides a window by the master in the network."""
 
-    Attributes
-    ----------
-    task : WindowTask
-        The window.
-    master : NetworkMaster
-        Its master.
-    """
-
-    task: WindowTask
-    master: NetworkMaster
+    task: WindowTask  #: the window
+    master: NetworkMaster  #: its master
 
     def decide(self) -> Candidate | None:
         """The cheapest dispatch of the set with the most service, and bounds on F and cost.

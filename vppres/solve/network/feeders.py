@@ -59,21 +59,11 @@ def feeder_of_rows(rows: sp.csr_array, feeder: Wholes) -> Wholes:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result of a feeder's search.
+    """Result of a feeder's search."""
 
-    Attributes
-    ----------
-    binaries : array
-        Positions among all binaries of those of the feeder.
-    served : array
-        Their values in its answer, NaN without one.
-    raised : float
-        By how much it costs at least more than without binaries.
-    """
-
-    binaries: Wholes
-    served: Floats
-    raised: float
+    binaries: Wholes  #: positions among all binaries of those of the feeder
+    served: Floats  #: their values in its answer, NaN without one
+    raised: float  #: by how much it costs at least more than without binaries
 
 
 class Feeders:
