@@ -65,19 +65,24 @@ class ControllerIn:
         Branches that are closed.
     day : Configured
         The scenario.
-    decider : Decider
-        Its controller.
     site : Site
         What is planned for.
     solver : WindowSolver or None
         What bounds its windows; None where plans have other weights.
+    controller_of : callable
+        Makes its controller.
     """
 
     closed: Flags
     day: Configured
-    decider: Decider
     site: Site
     solver: WindowSolver | None
+    controller_of: Callable[[Scenario], Decider]
+
+    @cached_property
+    def decider(self) -> Decider:
+        """Its controller, made when it is asked."""
+        return self.controller_of(self.day.scenario)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +174,8 @@ class Switching:
             return replace(search.certified(), switched=switched)
         words = self.branches.moves(self.closed, found.candidate.closed)
         gain = found.score - search.stay.score
-        switched = replace(switched, gain=gain, why=self._gain_words(observation.t0, search))
+        known = gain if np.isfinite(gain) else np.nan
+        switched = replace(switched, gain=known, why=self._gain_words(observation.t0, search))
         decision = search.certified()
         if found.waits:
             self._remember(here, found.memory)
@@ -193,8 +199,7 @@ class Switching:
             day = in_configuration(self.branches, closed)
             site = self._site_of(day.scenario)
             solver = None if self._solver_of is None else self._solver_of(site)
-            decider = self._controller_of(day.scenario)
-            self._known[key] = ControllerIn(closed, day, decider, site, solver)
+            self._known[key] = ControllerIn(closed, day, site, solver, self._controller_of)
         return self._known[key]
 
     def _seen(self, part: ControllerIn, observation: Observation) -> Observation:
@@ -326,9 +331,11 @@ class Switching:
         verb, which = ("closing", closing) if closing.any() else ("opening", opening)
         what = f"{verb} {named([self.branches.names[i] for i in np.flatnonzero(which)])}"
         plans = (each.decision.dispatch.supplied for each in (search.best, search.stay))
-        more = np.greater(*plans) if search.best.decision.fallback == "none" else np.zeros((1, 1))
+        more = np.greater(*plans)
+        gain = search.best.score - search.stay.score
+        if not np.isfinite(gain):
+            return f"{what} has a plan, and the present configuration has none"
         if not more.any():
-            gain = search.best.score - search.stay.score
             return f"{what} is worth {gain:.3g} weighted customer hours"
         end = grid.start + (t0 + int(np.flatnonzero(more.any(axis=1))[-1]) + 1) * grid.step
         served = counted(int(more.any(axis=0).sum()), "customer")
