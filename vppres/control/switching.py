@@ -248,7 +248,7 @@ class Switching:
         faulted = forecast.out.lines.any()
         none = OutOfService(0 * forecast.out.lines > 0, 0 * forecast.out.buses > 0)
         whole = replace(observation, forecast=replace(forecast, out=none))
-        if search.beaten(bound := self.bound(here, whole, search.deadline.left_s)):
+        if search.passes_over(bound := self.bound(here, whole, search.deadline.left_s)):
             return search.ended(NO_SWITCH)
         joins_all = present.candidate.n_parts == reach.n_joined
         if faulted and joins_all:
@@ -517,6 +517,7 @@ class Search:
                 break
             complete &= self._tried(group)
             if self._nothing_joined_is_better(reach):
+                complete = True
                 break
         why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
         self.record = replace(self.record, configurations=len(reach.found), why=why)
@@ -526,10 +527,15 @@ class Search:
 
     def _nothing_joined_is_better(self, reach: Candidates) -> bool:
         """Whether a plan for all that switches could join is worth no more than the best."""
-        return any(
-            self.beaten(bound) and np.array_equal(parts, reach.joined)
-            for parts, bound in self._known
-        )
+        joined = (most for parts, most in self._known if np.array_equal(parts, reach.joined))
+        return self.passes_over(min(joined, default=np.inf))
+
+    def passes_over(self, bound: float) -> bool:
+        """Whether all configurations that a bound holds for may be left out; it holds on."""
+        beaten = self.beaten(bound)
+        if beaten:
+            self.bound = max(self.bound, bound)
+        return beaten
 
     def _tried(self, group: list[Reached]) -> bool:
         """Whether no configuration of a group, which cut the feeder alike, is left unknown."""
