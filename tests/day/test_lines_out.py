@@ -13,6 +13,7 @@ from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.core.errors import InputError
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.inversions import inversions
 from vppres.day.metrics import cautions
 from vppres.explain.day import explain_day
@@ -135,3 +136,21 @@ def test_a_part_that_has_too_little_is_named(tiny: Scenario) -> None:
     assert set(off["driver"]) == {"fault"}
     words = "the part behind line 2-4, which is out, has too little power or energy"
     assert set(off["words"]) == {f"Not supplied: {words}."}
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_fallbacks_keep_the_balance_of_each_part(seed: int, known: bool) -> None:
+    """By the rule from the first step on, or by the plan of the step before."""
+    day = faulted_day(seed)
+    begun = 0 if known else 1
+    outage = FaultPlan({t: SolverOutage("killed") for t in range(begun, day.grid.n_steps)})
+    run = run_day(day, PAPER, faults=outage)
+    assert set(run.steps["fallback"][begun:]) <= {"rule", "previous_plan"}
+    out = run.steps["lines_out"].ne("").to_numpy()
+    assert out.any()
+    assert not run.customers["shed"].any()
+    # The paper's plans have no losses: these are what formers give beyond their set-points.
+    assert run.steps["island_mismatch_kw"][out].abs().max() < 1.0
+    off = run.customers[run.customers["off_by_fault"] != ""]
+    assert not off["served"].any()

@@ -23,7 +23,7 @@ from tests.support.live_service import (
     site,
 )
 from tests.support.played_service import played
-from vppres import RunOptions, run_day
+from vppres import Controller, RunOptions, run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
@@ -79,10 +79,29 @@ def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
     assert (fault["name"], fault["out"], fault["end"]) == ("line 2-4", True, FAULT["end"])
     assert plan["ahead"]["served"]["homes"] == [False, True]
     alarm = alarms(http)["line_out"]
-    words = f"Line 2-4 is out of service, until 14:00; homes off supply: {BEHIND}."
+    words = f"Line 2-4 is out of service until 14:00; homes off supply: {BEHIND}."
     assert (alarm["text"], alarm["priority"]) == (words, "medium")
     overview = http.get("/v1/overview").json()["plan"]
     assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
+
+
+def test_an_island_that_has_too_little_is_no_want_of_grid(tiny: Scenario, tmp_path: Path) -> None:
+    """The battery of the homes forms their part, and gives less than they take."""
+    b = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])
+    with running(replace(tiny, batteries=b), tmp_path) as (http, clock, _):
+        http.put("/v1/events/feeder-b", {**FAULT, "start": "2026-11-21T12:00:00Z"})
+        assert set(off(decided(http, clock, NOON))) == {"homes"}
+        found = alarms(http)
+        words = (
+            "Line 2-4 is out of service until 14:00; homes off supply: too little power or energy"
+        )
+        assert found["line_out"]["text"] == f"{words} behind it."
+        assert "off_with_grid" not in found
+        first = found["line_out"]["raised_at"]
+        decided(http, clock, NOON + HOUR)
+        assert (
+            alarms(http)["line_out"]["raised_at"] == first
+        )  # it is one alarm for as long as it lasts
 
 
 def test_its_end_may_change_and_it_may_be_repaired_early(live: Running) -> None:
@@ -131,6 +150,16 @@ def test_what_is_not_there_is_refused_once(
     assert str(answer.json()).count(words) == 1
     assert http.get("/v1/events").json() == {}
     assert runner.anew() is None
+
+
+def test_a_step_by_rule_knows_the_parts(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    http, clock, _ = live
+    http.put("/v1/events/feeder-b", FAULT)
+    monkeypatch.setattr(Controller, "step", lambda *_: 1 / 0)
+    plan = decided(http, clock, NOON + HOUR)
+    assert plan["status"] == "failed"
+    assert set(off(plan)) == {"homes"}
+    assert [one["name"] for one in plan["faults"]] == ["line 2-4"]
 
 
 def test_a_fault_is_known_after_a_restart(one_former: Scenario, tmp_path: Path) -> None:

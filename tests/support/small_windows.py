@@ -117,4 +117,5 @@ def first_step(scenario: Scenario, data: WindowData) -> StepState:
         data.eta_discharge,
         data.delta_pu2[0],
         np.ones(len(data.soc), dtype=bool),
+        parts=data.parts.steps(slice(1)),
     )

@@ -245,15 +245,14 @@ class Switching:
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
-        faulted = forecast.out.lines.any()
-        none = OutOfService(0 * forecast.out.lines > 0, 0 * forecast.out.buses > 0)
-        whole = replace(observation, forecast=replace(forecast, out=none))
+        whole = replace(observation, forecast=replace(forecast, out=forecast.out.repaired()))
         if search.passes_over(bound := self.bound(here, whole, search.deadline.left_s)):
             return search.ended(NO_SWITCH)
         joins_all = present.candidate.n_parts == reach.n_joined
+        faulted = forecast.out.lines.any()
         if faulted and joins_all:
             bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
-        if joins_all or not faulted:
+        if not faulted or joins_all:
             search.know(present.candidate, bound)
         return search.run(reach)
 
@@ -370,9 +369,10 @@ class Switching:
         given = self._injections(part, observation, found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
         before = self._out_before(t0)
+        faulted = np.zeros(len(self.branches), bool)
         now = observation.forecast.out
-        faulted = np.zeros(len(self.branches), dtype=bool)
         faulted[: day.network.n_lines] = before.lines[0] & now.lines[0]
+        bus_out = before.buses[0] & now.buses[0]
         dark = t0 > 0 and observation.operating_point is None
         net = day.network
         feeder = SwitchedFeeder(
@@ -384,7 +384,7 @@ class Switching:
             grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
             formers=Formers.none() if dark else self._formers(observation, found.decision),
             faulted=faulted,
-            bus_out=before.buses[0] & now.buses[0],
+            bus_out=bus_out,
             movable=self.branches.movable(~self.closed, now),
             customers=self._customers,
         )

@@ -140,7 +140,7 @@ class Branches:
         >>> from vppres.io.find import load_scenario
         >>> branches = Branches(load_scenario("uk-heatwave-2022"))
         >>> branches.moves(branches.closed, branches.closed & (np.arange(32) != 5))
-        'opened 6-7'
+        'opened 19-20'
         """
         words = []
         for verb, which in (("closed", after & ~before), ("opened", before & ~after)):

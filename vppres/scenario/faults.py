@@ -144,6 +144,10 @@ class OutOfService:
         """Some of the steps."""
         return OutOfService(self.lines[steps], self.buses[steps])
 
+    def repaired(self) -> OutOfService:
+        """Steps in which nothing is out, as many as these."""
+        return OutOfService(np.zeros_like(self.lines), np.zeros_like(self.buses))
+
     def names(self, network: Network, step: int) -> list[str]:
         """Lines and buses that are out in a step, in words."""
         at = np.flatnonzero(self.buses[step])

@@ -75,6 +75,10 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "v_min_pu": day.network.v_min_ac_pu,
         "v_max_pu": day.network.v_max_ac_pu,
         "phases": _phases_of(runner),
+        "lines": {
+            str(bus): f"{day.network.from_bus[line]}-{bus}"
+            for line, bus in enumerate(day.network.to_bus)
+        },
         "customers": {
             str(name): str(tier)
             for name, tier in zip(day.customers.id, day.customers.tier, strict=True)

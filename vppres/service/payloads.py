@@ -117,6 +117,7 @@ OF_SITE = (
     "v_pu",
     "online",
     "grid_on",
+    "closed",
 )
 """Facts of every site."""
 
@@ -148,7 +149,7 @@ class Readings(Body):
 
     ``soc``, ``load_kw``, ``pv_kw``, ``online`` and ``grid_on`` (1 or 0) hold at their time,
     ``battery_kw`` (charging positive) and ``import_kw`` are means from then on. The asset of
-    ``import_kw`` and ``grid_on`` is ``grid``.
+    ``import_kw`` and ``grid_on`` is ``grid``. ``closed`` (1 or 0) is the state of a switch.
 
     Of chargers of vehicles, ``plugged`` (1 or 0), ``ev_soc``, ``energy_needed_kwh`` and
     ``departure``, in seconds since 1970, hold at their time too; of rooms and tanks ``indoor_c``,
@@ -497,6 +498,21 @@ class ModeRequest(Body):
         if (self.mode == "manual") != bool(self.setpoints):
             raise ValueError("and set-points do not belong together. Give set-points for manual")
         return self
+
+
+class SwitchingRequest(Body):
+    """States of switches that are to be reached: closed, or open."""
+
+    closed: dict[Name, Annotated[bool, Field(strict=True)]] = Field(
+        min_length=1, max_length=MOST_SERIES
+    )
+    reason: str = Field("", max_length=200)
+
+
+class ConfirmedOperation(Body):
+    """The switch of the next operation, as its operator confirms it."""
+
+    switch: Name
 
 
 class Remark(Body):

@@ -241,7 +241,13 @@ class Player:
         now = self.world.scenario.grid.times[t]
         self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
         if self.how.announced:
-            self._announce(now)
+            due = [one for one in self._announcements if one.time <= now]
+            self._announcements = [one for one in self._announcements if one.time > now]
+            for _, name, body in due:
+                if body:
+                    self.client.wanted("PUT", f"/v1/events/{name}", body)
+                else:
+                    self.client.wanted("DELETE", f"/v1/events/{name}")
         arriving = self._way.arriving(t, self.world.readings(t))
         if arriving:
             answer = self.client.wanted("POST", "/v1/telemetry", {"series": arriving})
@@ -249,16 +255,6 @@ class Player:
         answer = self.client.wanted("POST", "/v1/steps")
         self.tally.heard(answer.body, answer.seconds)
         self._told = self.client.wanted("GET", "/v1/setpoints").body["setpoints"]
-
-    def _announce(self, now: pd.Timestamp) -> None:
-        """Put what is due."""
-        due = [one for one in self._announcements if one.time <= now]
-        self._announcements = [one for one in self._announcements if one.time > now]
-        for _, name, body in due:
-            if body:
-                self.client.wanted("PUT", f"/v1/events/{name}", body)
-            else:
-                self.client.wanted("DELETE", f"/v1/events/{name}")
 
     def _real_s(self, t: int) -> float:
         """When a step begins, in real time since the beginning."""

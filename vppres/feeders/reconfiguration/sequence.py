@@ -28,7 +28,7 @@ from vppres.scenario.switches import Switches
 MOST_OPERATIONS = 10
 """Operations, those of five exchanges, up to which all orders are compared."""
 
-MOST_STATES = 16
+MOST_STATES = 4
 """States that are followed after each operation where there are more."""
 
 LEAST_MINUTES = 1.0
@@ -357,12 +357,17 @@ class _Orders:
                         found[key] = more
             if not found:
                 return SwitchingOrder(None, _none_words(blocked), every, start.least)
-            kept = sorted(found.values(), key=lambda one: one.key)
+            kept = sorted(found.values(), key=self._rank)
             ways = {}
             for way in kept if every else kept[:MOST_STATES]:
                 ways.setdefault(frozenset(way.done), []).append(way)
         best = min((way for group in ways.values() for way in group), key=lambda one: one.key)
         return SwitchingOrder(tuple(self._told(best)), "", every, start.least)
+
+    def _rank(self, way: _Way) -> tuple[float, float]:
+        """Less is better: an interruption that goes on counts for the next operation."""
+        missed_kw = self.missed_kw[~self.topology(way.done).live].sum()
+        return way.key[0] + round(float(missed_kw) * LEAST_MINUTES, 9), way.key[1]
 
     def _refusals(self) -> Iterator[str]:
         """Why no order can exist, whatever the power flow: locks, faults, loops at the end."""
@@ -536,7 +541,7 @@ class _Orders:
             joins = self.then[branch] and before.part[a] != before.part[b]
             at_the_device = bool(joins and before.live[a] and before.live[b])
             told = [
-                f"{self._without(buses)} for {waits[until]:g} minutes, until "
+                f"{self._without(buses)}{_for_minutes(waits[until])} until "
                 f"{self.feeder.names[way.done[until - 1]]} is closed"
                 for until, buses in back.items()
             ]
@@ -621,6 +626,10 @@ def _beyond(state: _Checked, floor: Sequence[float]) -> str:
         return state.least.words
     own = zip(state.margins, floor, strict=True)
     return ", ".join(one.words for one, least in own if one.value < least)
+
+
+def _for_minutes(minutes: float) -> str:
+    return f" for {counted(round(minutes), 'minute')}," if minutes else ""
 
 
 def _margin_words(value: float, form: str, unit: str) -> str:

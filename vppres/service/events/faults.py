@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.core.errors import InputError
 from vppres.day.checks import check_faults
 from vppres.io.messages import did_you_mean
-from vppres.scenario.faults import LineFault, line_name
+from vppres.scenario.faults import LineFault, parts_by_bus
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
 from vppres.service import payloads
@@ -61,10 +61,7 @@ def faults_at(
 def told(
     faults: Iterable[LineFault], network: Network, step: pd.Timedelta, now: pd.Timestamp
 ) -> list[dict[str, Any]]:
-    """Faults in the words of a plan.
-
-    ``out`` says whether the plan's step is without it, ``cuts`` how reasons name what is behind it.
-    """
+    """Faults in the words of a plan; ``out`` says whether its step is without the line or bus."""
     return [
         {
             "name": one.name(network),
@@ -73,7 +70,6 @@ def told(
             "start": written(one.start),
             "end": None if one.end >= OPEN else written(one.end),
             "out": one.start < now + step,
-            "cuts": _cuts(one, network),
         }
         for one in faults
         if one.known or one.start < now + step
@@ -96,11 +92,23 @@ def faults_told(
     return tuple(chain.from_iterable(found.values()))
 
 
-def _cuts(fault: LineFault, network: Network) -> list[str]:
-    """Words of reasons for which customers are off by a fault."""
-    lines = np.flatnonzero(fault.lines(network)).tolist()
-    words = [f"behind {line_name(network, line)}," for line in lines]
-    return words if fault.bus is None else [*words, f"bus {fault.bus} is out"]
+def behind_faults(
+    plan: Mapping[str, Any], scenario: Scenario, now: pd.Timestamp
+) -> list[tuple[Mapping[str, Any], set[str]]]:
+    """Faults of now as a plan knows them, each with the customers behind it."""
+    network = scenario.network
+    known = [(one, _told_fault(one, network)) for one in plan.get(FAULTS, ())]
+    standing = [(one, fault) for one, fault in known if one["out"] and now < fault.end]
+    if not standing:
+        return []
+    out = np.any([fault.lines(network) for _, fault in standing], axis=0)
+    at = [network.bus_index[bus] for bus in scenario.customers.bus]
+    parts = parts_by_bus(network, out[np.newaxis])[0][at]
+    names = np.array([str(name) for name in scenario.customers.id])
+    return [
+        (one, {*names[np.isin(parts, np.flatnonzero(fault.lines(network)) + 1)].tolist()})
+        for one, fault in standing
+    ]
 
 
 def _of_plan(
@@ -109,11 +117,16 @@ def _of_plan(
     """Faults of a plan, cut to its step if it is not the last one."""
     begin = pd.Timestamp(plan["start"])
     for one in plan.get(FAULTS, ()):
-        start = max(pd.Timestamp(one["start"]), begin)
-        end = OPEN if one["end"] is None else pd.Timestamp(one["end"])
-        end = end if on else min(end, begin + step)
+        fault = _told_fault(one, network)
+        start, end = max(fault.start, begin), fault.end if on else min(fault.end, begin + step)
         if start < end:
-            yield _fault(start, end, one["line"], one["bus"], network)
+            yield replace(fault, start=start, end=end)
+
+
+def _told_fault(one: Mapping[str, Any], network: Network) -> LineFault:
+    """A fault in the words of a plan as that of a feeder's line or bus."""
+    end = OPEN if one["end"] is None else pd.Timestamp(one["end"])
+    return _fault(pd.Timestamp(one["start"]), end, one["line"], one["bus"], network)
 
 
 def _said(said: payloads.Fault, network: Network) -> LineFault:
