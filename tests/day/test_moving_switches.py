@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from vppres import Controller, InputError, RunOptions, run_day
+from vppres.day.metrics import resilience
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
@@ -123,20 +124,37 @@ def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:
         Controller.of(replace(day, faults=()), MOVING)
 
 
-@pytest.mark.daily
-def test_the_packaged_day_with_a_fault_at_noon(tmp_path: Path) -> None:
+def packaged_day_with_fault(folder: Path) -> Scenario:
+    """The packaged day with its five ties, and a fault of line 6-7 from 12:00 to 18:00."""
     day = load_scenario("uk-heatwave-2022")
     five = ((8, 21), (9, 15), (12, 22), (18, 33), (25, 29))
     fault = LineFault(NOON, NOON + 6 * HOUR, line=7)
-    limit_kw = np.full(day.grid.n_steps, np.inf)
-    day = replace(day, switches=ties(*five, ohm=1.0), faults=(fault,))
-    write_scenario(replace(day, grid_limit_kw=limit_kw), tmp_path / "day")
+    write_scenario(replace(day, switches=ties(*five, ohm=1.0), faults=(fault,)), folder)
+    return read_scenario(folder)
+
+
+@pytest.mark.daily
+def test_the_packaged_day_with_a_fault_at_noon(tmp_path: Path) -> None:
+    day = packaged_day_with_fault(tmp_path / "day")
+    day = replace(day, grid_limit_kw=np.full(day.grid.n_steps, np.inf))
     still, moved = (
-        run_day(read_scenario(tmp_path / "day"), RunOptions(mode="paper", move_switches=moves))
-        for moves in (False, True)
+        run_day(day, RunOptions(mode="paper", move_switches=moves)) for moves in (False, True)
     )
     assert not still.customers["served"].all()
     assert moved.customers["served"].all()
     assert (moved.steps["switched"] != "").sum() == 1
     assert moved.steps["switched"].iloc[12].endswith("opened 6-7")
     assert (moved.steps["status"] == "optimal").all()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_ties_raise_r_in_the_outage_of_the_packaged_day(mode: str, tmp_path: Path) -> None:
+    day = packaged_day_with_fault(tmp_path / "day")
+    still, moved = (
+        resilience(run_day(day, RunOptions(mode=mode, move_switches=moves)))
+        for moves in (False, True)
+    )
+    assert still is not None
+    assert moved is not None
+    assert moved > still + 0.01

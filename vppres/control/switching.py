@@ -65,19 +65,24 @@ class ControllerIn:
         Branches that are closed.
     day : Configured
         The scenario.
-    decider : Decider
-        Its controller.
     site : Site
         What is planned for.
     solver : WindowSolver or None
         What bounds its windows; None where plans have other weights.
+    controller_of : callable
+        Makes its controller.
     """
 
     closed: Flags
     day: Configured
-    decider: Decider
     site: Site
     solver: WindowSolver | None
+    controller_of: Callable[[Scenario], Decider]
+
+    @cached_property
+    def decider(self) -> Decider:
+        """Its controller, made when it is asked."""
+        return self.controller_of(self.day.scenario)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +174,8 @@ class Switching:
             return replace(search.certified(), switched=switched)
         words = self.branches.moves(self.closed, found.candidate.closed)
         gain = found.score - search.stay.score
-        switched = replace(switched, gain=gain, why=self._gain_words(observation.t0, search))
+        known = gain if np.isfinite(gain) else np.nan
+        switched = replace(switched, gain=known, why=self._gain_words(observation.t0, search))
         decision = search.certified()
         if found.waits:
             self._remember(here, found.memory)
@@ -193,8 +199,7 @@ class Switching:
             day = in_configuration(self.branches, closed)
             site = self._site_of(day.scenario)
             solver = None if self._solver_of is None else self._solver_of(site)
-            decider = self._controller_of(day.scenario)
-            self._known[key] = ControllerIn(closed, day, decider, site, solver)
+            self._known[key] = ControllerIn(closed, day, site, solver, self._controller_of)
         return self._known[key]
 
     def _seen(self, part: ControllerIn, observation: Observation) -> Observation:
@@ -240,14 +245,14 @@ class Switching:
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
-        faulted = forecast.out.lines.any()
         whole = replace(observation, forecast=replace(forecast, out=forecast.out.repaired()))
-        if search.beaten(bound := self.bound(here, whole, search.deadline.left_s)):
+        if search.passes_over(bound := self.bound(here, whole, search.deadline.left_s)):
             return search.ended(NO_SWITCH)
         joins_all = present.candidate.n_parts == reach.n_joined
+        faulted = forecast.out.lines.any()
         if faulted and joins_all:
             bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
-        if joins_all or not faulted:
+        if not faulted or joins_all:
             search.know(present.candidate, bound)
         return search.run(reach)
 
@@ -325,9 +330,11 @@ class Switching:
         verb, which = ("closing", closing) if closing.any() else ("opening", opening)
         what = f"{verb} {named([self.branches.names[i] for i in np.flatnonzero(which)])}"
         plans = (each.decision.dispatch.supplied for each in (search.best, search.stay))
-        more = np.greater(*plans) if search.best.decision.fallback == "none" else np.zeros((1, 1))
+        more = np.greater(*plans)
+        gain = search.best.score - search.stay.score
+        if not np.isfinite(gain):
+            return f"{what} has a plan, and the present configuration has none"
         if not more.any():
-            gain = search.best.score - search.stay.score
             return f"{what} is worth {gain:.3g} weighted customer hours"
         end = grid.start + (t0 + int(np.flatnonzero(more.any(axis=1))[-1]) + 1) * grid.step
         served = counted(int(more.any(axis=0).sum()), "customer")
@@ -362,9 +369,10 @@ class Switching:
         given = self._injections(part, observation, found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
         before = self._out_before(t0)
+        faulted = np.zeros(len(self.branches), bool)
         now = observation.forecast.out
-        faulted = np.zeros(len(self.branches), dtype=bool)
         faulted[: day.network.n_lines] = before.lines[0] & now.lines[0]
+        bus_out = before.buses[0] & now.buses[0]
         dark = t0 > 0 and observation.operating_point is None
         net = day.network
         feeder = SwitchedFeeder(
@@ -376,7 +384,7 @@ class Switching:
             grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
             formers=Formers.none() if dark else self._formers(observation, found.decision),
             faulted=faulted,
-            bus_out=before.buses[0] & now.buses[0],
+            bus_out=bus_out,
             movable=self.branches.movable(~self.closed, now),
             customers=self._customers,
         )
@@ -509,6 +517,7 @@ class Search:
                 break
             complete &= self._tried(group)
             if self._nothing_joined_is_better(reach):
+                complete = True
                 break
         why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
         self.record = replace(self.record, configurations=len(reach.found), why=why)
@@ -518,10 +527,15 @@ class Search:
 
     def _nothing_joined_is_better(self, reach: Candidates) -> bool:
         """Whether a plan for all that switches could join is worth no more than the best."""
-        return any(
-            self.beaten(bound) and np.array_equal(parts, reach.joined)
-            for parts, bound in self._known
-        )
+        joined = (most for parts, most in self._known if np.array_equal(parts, reach.joined))
+        return self.passes_over(min(joined, default=np.inf))
+
+    def passes_over(self, bound: float) -> bool:
+        """Whether all configurations that a bound holds for may be left out; it holds on."""
+        beaten = self.beaten(bound)
+        if beaten:
+            self.bound = max(self.bound, bound)
+        return beaten
 
     def _tried(self, group: list[Reached]) -> bool:
         """Whether no configuration of a group, which cut the feeder alike, is left unknown."""
