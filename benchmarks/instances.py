@@ -205,4 +205,6 @@ def operating_point(t: int) -> OperatingPoint:
     owners = day.pv.owner(day.customers)
     np.add.at(p, np.array(at)[owners], np.minimum(day.pv_kw[t], day.pv.s_max_kva))
     result = ACPowerFlow(net).solve(p, q)
-    return OperatingPoint(result.v_pu, result.p_from_kw, result.q_from_kvar, p, q)
+    none_out = np.zeros(net.n_lines, dtype=bool)
+    flows = result.p_from_kw, result.q_from_kvar
+    return OperatingPoint(result.v_pu, *flows, p, q, lines_out=none_out)

@@ -13,6 +13,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
@@ -84,6 +85,7 @@ def random_window(seed: int, stressed: bool = False) -> Window:
             eta_charge=b.eta_charge * rng.uniform(0.9, 1.0, len(b)),
             eta_discharge=b.eta_discharge * rng.uniform(0.9, 1.0, len(b)),
             delta_pu2=np.tile(offset, (steps, 1)),
+            parts=Parts.one(scenario.network, len(b), steps),
         ),
     )
 

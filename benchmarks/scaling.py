@@ -24,6 +24,7 @@ from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.report.plots.drawing import BLUE, GREY, RULE_COLOUR
 from vppres.scenario.scenario import Scenario
@@ -106,6 +107,7 @@ def windows_of(case: Case, day: Scenario) -> list[WindowData]:
                 b.eta_charge,
                 b.eta_discharge,
                 delta,
+                parts=Parts.one(day.network, len(b), steps),
             )
         )
     return found[: FEW.get((case.axis, case.size), len(found))]

@@ -146,6 +146,7 @@ def actual(scenario: Scenario, t: int, soc: float = 0.5, eta: float = 0.95) -> O
         scenario.price_gbp_per_kwh[rows],
         scenario.grid_limit_kw[rows],
         scenario.temperature_c[rows],
+        out=scenario.out_of_service(range(t, t + 1)),
     )
     return Observation(t, forecast, np.full(count, soc), np.full(count, eta), np.full(count, eta))
 

@@ -75,6 +75,15 @@ def test_days_are_those_of_the_clocks(start: str, n_steps: int, hours: dict[str,
     assert days["demand_kwh"].tolist() == [70.0 * h for h in hours.values()]
 
 
+def test_a_plan_of_the_day_outlives_what_its_losses_leave_open(tiny: Scenario) -> None:
+    """The former of the first outage holds a few Wh more than planned; the second is ahead."""
+    options = RunOptions(controller="full-horizon", mode="physical", isolate=False)
+    run = run_day(repeated(tiny, 12), options)
+    assert run.planned is not None
+    assert not run.steps["corrected"].any()
+    assert run.customers["served"].tolist() == np.ravel(run.planned["served"]).tolist()
+
+
 @pytest.mark.daily
 def test_actions_are_limited_by_the_day_of_the_run(tiny: Scenario) -> None:
     """Two outages of two days: who may act twice a day is let go and restored in both."""

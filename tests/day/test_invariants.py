@@ -232,7 +232,9 @@ def test_delta_form_meets_the_ac_point_it_was_taken_at(
         p[n] -= scenario.load_kw[0, c]
         q[n] -= 0.3 * scenario.load_kw[0, c]
     ac = ACPowerFlow(scenario.network).solve(p, q)
-    point = OperatingPoint(ac.v_pu, ac.p_from_kw, ac.q_from_kvar, p, q)
+    none_out = np.zeros(scenario.network.n_lines, dtype=bool)
+    flows = ac.p_from_kw, ac.q_from_kvar
+    point = OperatingPoint(ac.v_pu, *flows, p, q, lines_out=none_out)
     model = linear_voltages(scenario, point, delta_offset(scenario.network, point, centre))
     error = np.abs(model - ac.v_pu).max()
     assert error < 1e-12 if exact else 1e-7 < error < 5e-3

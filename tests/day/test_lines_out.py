@@ -13,12 +13,13 @@ from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.core.errors import InputError
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.inversions import inversions
 from vppres.day.metrics import cautions
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.report.events import events_of
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 
 PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
@@ -28,7 +29,7 @@ NOON, HOUR = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
 def with_fault(day: Scenario, **place: object) -> Scenario:
     """The day without its outage, with a fault from 12:00 to 14:00."""
     limit_kw = [float("inf")] * day.grid.n_steps
-    fault = Fault(NOON, NOON + 2 * HOUR, **place)
+    fault = LineFault(NOON, NOON + 2 * HOUR, **place)
     return replace(day, grid_limit_kw=limit_kw, faults=(fault,))
 
 
@@ -60,7 +61,7 @@ def test_a_part_with_a_former_is_an_island(tiny: Scenario) -> None:
 def test_a_lower_tier_elsewhere_is_no_inversion(tiny: Scenario) -> None:
     stores = replace(tiny.batteries, grid_forming=[True, False], soc_initial=[0.8] * 2)
     times = tiny.grid.times
-    fault = Fault(times[0], times[-1] + HOUR, line=3)
+    fault = LineFault(times[0], times[-1] + HOUR, line=3)
     run = run_day(replace(tiny, batteries=stores, faults=(fault,)), PAPER)
     served = run.by_step("customers", "served")[tiny.outage]
     assert not served[:, 1].any() and served[:, 2].any()  # the shop behind the line, and homes
@@ -89,10 +90,11 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
 
 def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
     day = with_fault(tiny, line=4)
-    with pytest.raises(InputError, match=r"faults\.csv: is not followed live"):
-        Controller.of(day, PAPER)
+    phased = replace(PAPER, mode="physical")
     with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        run_day(three_phases(day), replace(PAPER, mode="physical"))
+        Controller.of(three_phases(day), phased)
+    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
+        run_day(three_phases(day), phased)
 
 
 @pytest.mark.nightly
@@ -134,3 +136,21 @@ def test_a_part_that_has_too_little_is_named(tiny: Scenario) -> None:
     assert set(off["driver"]) == {"fault"}
     words = "the part behind line 2-4, which is out, has too little power or energy"
     assert set(off["words"]) == {f"Not supplied: {words}."}
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_fallbacks_keep_the_balance_of_each_part(seed: int, known: bool) -> None:
+    """By the rule from the first step on, or by the plan of the step before."""
+    day = faulted_day(seed)
+    begun = 0 if known else 1
+    outage = FaultPlan({t: SolverOutage("killed") for t in range(begun, day.grid.n_steps)})
+    run = run_day(day, PAPER, faults=outage)
+    assert set(run.steps["fallback"][begun:]) <= {"rule", "previous_plan"}
+    out = run.steps["lines_out"].ne("").to_numpy()
+    assert out.any()
+    assert not run.customers["shed"].any()
+    # The paper's plans have no losses: these are what formers give beyond their set-points.
+    assert run.steps["island_mismatch_kw"][out].abs().max() < 1.0
+    off = run.customers[run.customers["off_by_fault"] != ""]
+    assert not off["served"].any()

@@ -25,6 +25,7 @@ from vppres.explain.recorded import Recorded
 from vppres.explain.step import DRIVERS, Driver
 from vppres.explain.words import figure, hours
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.report.finished import read_finished, rewrite_report
 from vppres.report.run_folder import write_run
@@ -95,6 +96,7 @@ def window(day: Scenario) -> WindowData:
         b.eta_charge,
         b.eta_discharge,
         np.zeros((day.grid.n_steps, day.network.n_lines)),
+        parts=Parts.one(day.network, len(b), day.grid.n_steps),
     )
 
 

@@ -22,7 +22,7 @@ from vppres.feeders.reconfiguration.folder import injection_at, step_of, with_co
 from vppres.feeders.reconfiguration.search import NO_LIMITS, least_loss
 from vppres.io import read_scenario, write_scenario
 from vppres.physics.powerflow import ACPowerFlow
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -123,8 +123,8 @@ def test_faults_stay_with_their_lines(tiny: Scenario) -> None:
     tie = Switches(["t"], [4], [1], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
     times = tiny.grid.times
     faults = (
-        *(Fault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
-        Fault(times[2], times[4], bus=3),
+        *(LineFault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
+        LineFault(times[2], times[4], bus=3),
     )
     day = replace(tiny, network=net, switches=tie, faults=faults)
     feeder = switched_network(net, tie, (), True)
@@ -134,6 +134,65 @@ def test_faults_stay_with_their_lines(tiny: Scenario) -> None:
     ends = {frozenset(pair) for pair in lines}
     assert ends == {frozenset(pair) for pair in ((1, 2), (3, 4), (4, 1))}
     assert changed.faults == (faults[0], replace(faults[2], line=3), faults[3])
+
+
+def row_of_three(tiny: Scenario, **columns: Any) -> Scenario:
+    """Buses 1-2-3-4 in a row with customers, a switch on 3-4, and a tie from 4 to the grid."""
+    net = Network([1, 2, 3], [2, 3, 4], [1.0] * 3, [1.0] * 3, slack_bus=1, base_kv=10.0)
+    given = {"minutes_to_operate": [20.0, 10.0], **columns}
+    switches = Switches(["t", "s"], [4, 3], [1, 4], ["tie", "sectionaliser"], [False, True],
+                        r_ohm=[0.2, np.nan], x_ohm=[0.2, np.nan], **given)  # fmt: skip
+    return replace(tiny, network=net, switches=switches)
+
+
+def order_of(day: Scenario, folder: Path) -> dict[str, Any]:
+    """The order of operations that the command has for a folder."""
+    write_scenario(day, folder)
+    found: dict[str, Any] = reconfigured(folder, "--at", "2022-07-19T12:00Z")["order"]
+    return found
+
+
+def test_the_order_of_operations_interrupts_no_customer_where_a_loop_is_allowed(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    day = row_of_three(tiny, parallel_allowed=[True, False])
+    order = order_of(day, tmp_path / "loop")
+    assert [(one["operation"], one["switch"]) for one in order["operations"]] == [
+        ("close", "t"),
+        ("open", "s"),
+    ]
+    assert order["least_margin"] == min(one["margin"] for one in order["operations"])
+    assert [one["interrupted"] for one in order["operations"]] == [[], []]
+    shown = CliRunner().invoke(app, ["reconfigure", str(tmp_path / "loop"), "--quiet"])
+    assert "Order of operations:\n1. close t: it closes a loop and carries " in shown.output
+    assert "\n2. open s: it opens the loop; lowest voltage 0.998 pu at bus 3," in shown.output
+
+
+def test_the_order_of_operations_names_the_customers_that_wait(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    rules = replace(tiny.switching, cold_load_factor=2.0, cold_load_h=1.0)
+    day = replace(row_of_three(tiny), switching=rules)
+    opened, closed = order_of(day, tmp_path / "dark")["operations"]
+    waiting = [str(name) for name in day.customers.id[day.customers.bus == 4]]
+    assert (opened["interrupted"], opened["minutes"]) == ([4], 20.0)
+    words = f"open s: customer {waiting[0]} is without supply for 20 minutes, until t is closed; "
+    assert opened["sentence"].startswith(words)
+    load_kw = day.load_kw[2, day.customers.bus == 4].sum()
+    assert f"it supplies customer {waiting[0]}, with {load_kw:.1f} kW of cold" in closed["sentence"]
+
+
+def test_without_an_order_of_operations_the_reason_is_told(tiny: Scenario, tmp_path: Path) -> None:
+    """A fault at bus 4: nothing is closed onto it."""
+    times = tiny.grid.times
+    day = replace(row_of_three(tiny), faults=(LineFault(times[0], times[4], bus=4),))
+    order = order_of(day, tmp_path / "fault")
+    assert order["operations"] is None and order["least_margin"] is None
+    assert order["reason"] == "t cannot be closed: its line, or a bus of it, has a fault."
+    shown = CliRunner().invoke(
+        app, ["reconfigure", str(tmp_path / "fault"), "--at", "2022-07-19T12:00Z", "--quiet"]
+    )
+    assert f"There is no order of operations. {order['reason']}" in shown.output
 
 
 @pytest.mark.daily

@@ -16,9 +16,15 @@ RANDOM = ForecastErrors(load_bias=0.1, load_alpha_per_h=0.02, pv_bias=-0.05, pv_
 DAY = range(0, 6)
 
 
+def arrays(forecast: Forecast) -> list[np.ndarray]:
+    own = [getattr(forecast, f.name) for f in fields(Forecast) if f.name not in ("export", "out")]
+    return [*own, forecast.out.lines, forecast.out.buses]
+
+
 def assert_equal(one: Forecast, other: Forecast) -> None:
-    for f in fields(Forecast):
-        np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name))
+    assert one.export is None and other.export is None
+    for pair in zip(arrays(one), arrays(other), strict=True):
+        np.testing.assert_array_equal(*pair)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +44,12 @@ def sample() -> tuple[np.ndarray, np.ndarray]:
 
 def test_without_errors_the_forecast_is_the_truth(tiny: Scenario) -> None:
     truth = Forecast(
-        tiny.load_kw, tiny.pv_kw, tiny.price_gbp_per_kwh, tiny.grid_limit_kw, tiny.temperature_c
+        tiny.load_kw,
+        tiny.pv_kw,
+        tiny.price_gbp_per_kwh,
+        tiny.grid_limit_kw,
+        tiny.temperature_c,
+        out=tiny.out_of_service(DAY),
     )
     assert_equal(Forecaster(tiny, ForecastErrors(), seed=3).at(0, DAY), truth)
 
@@ -142,12 +153,10 @@ def test_errors_do_not_reach_the_scenario(tiny: Scenario) -> None:
     before = tiny.load_kw.copy()
     forecast = Forecaster(tiny, RANDOM, seed=3).at(0, DAY)
     np.testing.assert_array_equal(tiny.load_kw, before)
-    for f in fields(Forecast):
-        if f.name in ("export", "out"):
-            assert getattr(forecast, f.name) is None  # imports only, and no line is out
-            continue
+    assert forecast.export is None
+    for values in arrays(forecast):
         with pytest.raises(ValueError, match="read-only"):
-            getattr(forecast, f.name)[0] = 1.0
+            values[0] = 1.0
 
 
 def test_without_pv_the_forecast_has_no_column(tiny: Scenario) -> None:

@@ -29,7 +29,7 @@ from vppres.io.python_door import check_scenario
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -433,7 +433,10 @@ def test_json_schema_states_units_bounds_and_required_keys() -> None:
 
 def test_faults_come_back(tiny: Scenario, tmp_path: Path) -> None:
     noon, hour = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
-    faults = (Fault(noon, noon + hour, line=3, known=False), Fault(noon, noon + 2 * hour, bus=4))
+    faults = (
+        LineFault(noon, noon + hour, line=3, known=False),
+        LineFault(noon, noon + 2 * hour, bus=4),
+    )
     scenario = replace(tiny, faults=faults)
     assert round_trip(scenario, tmp_path / "day").faults == faults
     assert Scenario.from_tables(scenario.to_tables()).faults == faults
@@ -444,6 +447,6 @@ def test_faults_come_back(tiny: Scenario, tmp_path: Path) -> None:
 def test_a_fault_of_nothing_is_refused(tiny: Scenario) -> None:
     noon = pd.Timestamp("2022-07-19T12:00Z")
     for place in ({}, {"line": 3, "bus": 3}, {"line": 1}, {"bus": 9}):
-        fault = Fault(noon, noon + pd.Timedelta(hours=1), **place)
-        with pytest.raises(InputError, match="is not one bus behind the grid's"):
+        fault = LineFault(noon, noon + pd.Timedelta(hours=1), **place)
+        with pytest.raises(InputError, match=r"is not a bus behind the grid's|names not one place"):
             replace(tiny, faults=(fault,))

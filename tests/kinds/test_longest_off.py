@@ -22,6 +22,7 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.report.run_folder import render_report
 from vppres.scenario.priority import Ranks
@@ -200,6 +201,7 @@ def test_a_rule_serves_the_due_customer_of_a_tier_first() -> None:
             np.zeros(1),
             np.ones(1, dtype=bool),
             due=state_of(day, [0.0, off_h]).due,
+            parts=Parts.one(day.network, 1, 1),
         )
         assert rule_dispatch(state, day.tiers).dispatch.served[0].tolist() == served
 

@@ -237,7 +237,12 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
     """All steps of a scenario, as a controller sees them."""
     b = day.batteries
     forecast = Forecast(
-        day.load_kw, day.pv_kw, day.price_gbp_per_kwh, day.grid_limit_kw, day.temperature_c
+        day.load_kw,
+        day.pv_kw,
+        day.price_gbp_per_kwh,
+        day.grid_limit_kw,
+        day.temperature_c,
+        out=day.out_of_service(range(day.grid.n_steps)),
     )
     return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -223,7 +223,7 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("change", "text"), [
-    ({"version": 99}, "state, version = 99: has another layout than this version's, 4. Go on"),
+    ({"version": 99}, "state, version = 99: has another layout than this version's, 5. Go on"),
     ({"kind": "a poem"}, "state: is not the state of a controller."),
     ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
     (None, "state: is not the state of a controller."),
@@ -248,10 +248,31 @@ def test_a_state_of_another_site_or_controller_is_refused(tiny: Scenario) -> Non
     assert Controller.of(tiny, replace(options, horizon_h=2.0), state=state).state() == state
 
 
+def as_in_version_4(state: Any) -> Any:
+    """A state as the version before wrote it, in which nothing said which lines are out."""
+    if isinstance(state, list):
+        return [as_in_version_4(each) for each in state]
+    if not isinstance(state, dict):
+        return state
+    old = {name: as_in_version_4(each) for name, each in state.items()}
+    old |= dict.fromkeys({"lines_out"} & old.keys())
+    if isinstance(old.get("out"), dict):
+        old["out"] = None
+    if "digest" not in old:
+        return {name: each for name, each in old.items() if name != "faults"}
+    return signed({**old, "version": 4})
+
+
+def signed(state: dict[str, Any]) -> dict[str, Any]:
+    """The state with the digest of what it says."""
+    body = {name: each for name, each in state.items() if name != "digest"}
+    text = json.dumps(body, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return {**body, "digest": hashlib.sha256(text.encode()).hexdigest()}
+
+
 def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
-    """A state as the version before wrote it: a field for each kind, and powers of all as one."""
-    old = {**state, "version": 3}
-    del old["digest"]
+    """As an earlier version wrote it: a field for each kind, and powers of all as one."""
+    old = {**as_in_version_4(state), "version": 3}
     for moment in (old["now"], old["before"]):
         kinds = moment["past"].pop("kinds")
         own = {"vehicles": "chargers", "rooms": "thermal_loads", "sets": "gensets"}
@@ -261,11 +282,11 @@ def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
                 del moment["past"][name]["taken_kw"]
         cold_load = {"served": [True], "steps_left": [0]}  # the switching state says it too
         moment["past"] |= {"flexible_kw": 0.0, "flexible_off_kw": 0.0, "cold_load": cold_load}
-    text = json.dumps(old, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    return {**old, "digest": hashlib.sha256(text.encode()).hexdigest()}
+    return signed(old)
 
 
-def test_a_state_of_the_version_before_is_gone_on_from() -> None:
+@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4])
+def test_a_state_of_a_version_before_is_gone_on_from(earlier: Callable[[Any], Any]) -> None:
     day = load_scenario("village-hot-week").between(80, 86)
     soc = {str(name): 0.5 for name in day.batteries.id}
     options = RunOptions(horizon_h=0.0, isolate=False)
@@ -273,7 +294,7 @@ def test_a_state_of_the_version_before_is_gone_on_from() -> None:
     for time in day.grid.times[:2]:
         points = controller.step(Measurement(time, soc))
     assert points.chargers is not None and points.thermal_loads is not None
-    old = as_in_version_3(json.loads(json.dumps(controller.state())))
+    old = earlier(json.loads(json.dumps(controller.state())))
     again = Controller.of(day, options, state=old)
     for time in day.grid.times[2:4]:
         assert same(again.step(Measurement(time, soc)), controller.step(Measurement(time, soc)))

@@ -23,6 +23,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.partial_fleet import site_with
 from vppres.core.arrays import Floats
+from vppres.kinds.batteries.physics import BatteriesAhead, cell_kw
 from vppres.kinds.customer.rows import ColdDemand
 from vppres.model import formulas, objective
 from vppres.model.beyond_paper.table import beyond_paper
@@ -295,6 +296,7 @@ def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[flo
         q_flow_kvar=np.array([5.0, -8.0]),
         p_injection_kw=np.array([0.0, -5.0, -15.0]),
         q_injection_kvar=np.array([0.0, -12.0, 9.0]),
+        lines_out=np.zeros(2, dtype=bool),
     )
     assert delta_offset(site.network, point, centre) == pytest.approx(expected, abs=1e-15)
 
@@ -576,10 +578,11 @@ def test_balances_of_thousands_of_customers_compile_in_little_memory() -> None:
 def test_state_of_charge_of_arrays_is_that_of_the_problem(site: Site) -> None:
     b = site.batteries
     charge, discharge = np.array(VALUES["P_ch"], float), np.array(VALUES["P_dch"], float)
-    stored_kw = formulas.cell_kw(charge, discharge, b.eta_charge, b.eta_discharge)
+    stored_kw = cell_kw(charge, discharge, b.eta_charge, b.eta_discharge)
     assert stored_kw == pytest.approx(np.array([[9.0, -5.0], [-24.0, 4.8 - 1.25]]))
     soc = np.array(VALUES["SoC"])
-    missing = soc[1:] - formulas.soc_after(soc[:-1], stored_kw, b, 0.5)
+    ahead = BatteriesAhead(b, soc[0], b.eta_charge, b.eta_discharge, 0.5)
+    missing = np.diff(soc, axis=0) - np.diff(ahead.path(charge, discharge), axis=0)
     assert missing == pytest.approx(np.array(MISSED["battery_soc_dynamics"]))
 
 
@@ -587,12 +590,15 @@ def test_power_that_fills_and_empties_a_battery(site: Site) -> None:
     b = site.batteries
     soc = np.array([0.5, 0.1])
     # 40 kWh of room and 35 kWh in half an hour at 0.9 and 0.8
-    full = formulas.charge_to_kw(b.soc_max, soc, b.eta_charge, b, 0.5)
+    ahead = BatteriesAhead(b, soc, b.eta_charge, b.eta_discharge, 0.5)
+    full = ahead.charge_to_kw(b.soc_max)
     assert full == pytest.approx([40.0 / 0.9 / 0.5, 35.0 / 0.8 / 0.5])
     # 40 kWh above the lower limit at 0.5, and nothing
-    empty = formulas.discharge_to_kw(b.soc_min, soc, b.eta_discharge, b, 0.5)
+    empty = ahead.discharge_to_kw(b.soc_min)
     assert empty == pytest.approx([40.0 * 0.5 / 0.5, 0.0])
-    assert formulas.charge_to_kw(np.array(0.4), soc, b.eta_charge, b, 0.5)[0] == 0.0
+    assert ahead.charge_to_kw(np.array(0.4))[0] == 0.0
+    most = np.minimum(b.active_max_kw, full), np.minimum(b.active_max_kw, empty)
+    np.testing.assert_array_equal(ahead.most_kw(), most)
 
 
 def test_injections_flows_and_voltages_of_arrays(site: Site) -> None:

@@ -13,7 +13,6 @@ from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
-    CHECKER_TOLERANCE,
     DARK,
     OPEN,
     battery,
@@ -68,34 +67,8 @@ def test_the_traits_are_there() -> None:
     assert hard_day("rules", 1).rules.active
 
 
-# Sets that live on exactly the energy there is.
-
-
 def solve(day: Scenario) -> WindowSolution:
     return WindowSolver(Site.of(day)).solve(window(day))
-
-
-def exactly(missing_kwh: float) -> Scenario:
-    """Two customers of 33.25 kW in the dark; 70 kWh between the limits give 66.5 kWh for them."""
-    return replace(
-        two_buses([[33.25, 33.25]], [1.0, 1.0], [DARK]),
-        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85 - missing_kwh / 0.95 / 100.0),
-    )
-
-
-@pytest.mark.parametrize("missing_kwh", [0.0, 5e-7, 1.5e-6])
-def test_rounding_costs_nobody_the_service(missing_kwh: float) -> None:
-    day = exactly(missing_kwh)
-    answer = solve(day)
-    assert answer.dispatch.served.all()
-    assert answer.status == Status.OPTIMAL
-    assert check_dispatch(day, window(day), answer.dispatch).worst[1] < CHECKER_TOLERANCE
-
-
-def test_energy_that_is_missing_is_missing() -> None:
-    answer = solve(exactly(1e-3))
-    assert answer.dispatch.served.sum() == 1
-    assert answer.status == Status.OPTIMAL
 
 
 # Sun that nobody can use.

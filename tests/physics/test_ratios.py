@@ -200,7 +200,8 @@ def with_transformers(case: Window, seed: int) -> Window:
         power_factor=np.where(draw.random(len(customers)) < 0.3, -1, 1) * customers.power_factor,
     )
     island = case.data.grid_limit_kw <= 0.0
-    data = replace(case.data, drawn=drawn_by(tapped, None, island))
+    drawn = drawn_by(tapped, None, island, case.data.parts.of_bus)
+    data = replace(case.data, drawn=drawn)
     return Window(replace(case.scenario, network=tapped, customers=leading), data)
 
 

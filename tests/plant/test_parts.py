@@ -16,7 +16,7 @@ from vppres.day.simulate import Day
 from vppres.plant.collapse import realise
 from vppres.plant.island import Settled
 from vppres.plant.parts import PlantInParts
-from vppres.scenario.faults import OutOfService, Parts
+from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.scenario import Scenario
 
 PAPER = RunOptions(mode="paper", horizon_h=2.0, isolate=False)
@@ -42,7 +42,7 @@ def settled(day: Scenario, seed: int, nothing_out: bool = False) -> tuple[OutOfS
 
 
 def sums(day: Scenario, out: OutOfService, values: Floats) -> Floats:
-    return np.bincount(Parts(day.network, out.lines[0]).of_bus, values, day.network.n_buses)
+    return np.bincount(parts_by_bus(day.network, out.lines)[0], values, day.network.n_buses)
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -26,6 +26,7 @@ from vppres.day.options import RunOptions
 from vppres.day.run_files import read_run
 from vppres.day.trajectory import Trajectory
 from vppres.report.assumptions import data_words, option_words, simplifications
+from vppres.report.clock import Clock
 from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
@@ -41,6 +42,7 @@ from vppres.report.one_line import (
 from vppres.report.plots.figures import FIGURES, RUN_FIGURES, save_figures
 from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import Network
 from vppres.scenario.switches import Switches
 
@@ -438,6 +440,33 @@ def test_switches_are_drawn_open_or_closed() -> None:
     assert page.count('<g class="tie"><title>T: tie, open</title>') == 1
     assert page.count('<g class="switch"><title>S: breaker, closed, locked: repair</title>') == 1
     assert "open switch" in page and "closed switch" in page
+
+
+def test_faults_are_drawn_where_they_are_and_named_with_their_times() -> None:
+    run = small_run()
+    day = run.scenario
+    times, step = day.grid.times, day.grid.step
+    faults = (
+        LineFault(times[2], times[2] + step, line=4),
+        LineFault(times[0], times[0] + step, line=4),
+        LineFault(times[2], times[2] + step, bus=3),
+    )
+    run = replace(run, scenario=replace(day, faults=faults))
+    drawn = drawing(run)
+    at = {bus.name: (bus.x, bus.y) for bus in drawn.buses}
+    clock = Clock.of(run)
+    first, second = (f"from {clock.at(t)} to {clock.at(t + 1)}" for t in (0, 2))
+    line, bus = drawn.faults
+    assert line.words == f"line 3-4 out of service {first} and {second}"
+    assert (line.x, line.y) == ((at["3"][0] + at["4"][0]) // 2, at["4"][1])
+    assert (bus.words, bus.x, bus.y) == (f"bus 3 out of service {second}", *at["3"])
+    classes = step_states(run)["line"]
+    assert [[digit == "9" for digit in row] for row in classes] == [
+        [False, False, True], [False] * 3, [False, True, True], [False] * 3,
+    ]  # fmt: skip
+    page = render_report(run, summarise(run))
+    assert page.count(f'<g class="fault"><title>{line.words}</title>') == 1
+    assert f"Faults: {line.words}; {bus.words}." in page
 
 
 def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:

@@ -32,14 +32,15 @@ from vppres.service.operation.runner import Service
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 
 SCRIPT = """
-import { SiteClock, announcesNothing, attention, facts, verdict, why } from "./words.mjs";
+import { SiteClock, announced, announcesNothing, attention, facts, verdict, why } from "./words.mjs";
 import { readFileSync } from "node:fs";
 const view = JSON.parse(readFileSync(0));
 view.clock = new SiteClock("UTC");
 view.now = new Date(view.overview.now);
 const { off, status } = view.overview.plan;
 const reasons = (off ?? []).map((one) => why(one, null, status).words);
-console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), announced: announcesNothing(view), reasons }));
+const events = Object.values(view.overview.events).map((event) => announced(event, view));
+console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), announced: announcesNothing(view), reasons, events }));
 """
 
 
@@ -317,3 +318,30 @@ def test_a_higher_tier_that_waits_for_a_lower_one_is_on_the_page(
         found = told(http, tmp_path)["attention"]
     words = "A lower tier is on while a higher one waits: hospital is off supply, while homes have 50.0 kW."
     assert ["warning", words] in found
+
+
+def test_a_fault_is_named_with_its_end(tiny: Scenario, tmp_path: Path) -> None:
+    """What is announced, what is out, and why customers are off."""
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    with running(replace(tiny, batteries=named), tmp_path / "state") as (http, clock, runner):
+        decided(http, clock, NOON)
+        clock.set(NOON + pd.Timedelta("10min"))
+        now = written(clock.now())
+        http.put("/v1/events/cable", {"type": "fault", "line": "4", "start": now})
+        later = {"start": "2026-11-21T16:00:00Z", "end": "2026-11-21T17:00:00Z"}
+        http.put("/v1/events/work", {"type": "fault", "bus": "3", **later})
+        runner.anew()
+        page = told(http, tmp_path)
+    out = "Line 2-4 is out of service, end unknown."
+    work = "Bus 3 will be, from 16:00, out of service until 17:00."
+    level, words, after = page["verdict"]
+    assert (level, words) == (
+        "warning",
+        "1 of 3 customers off supply, all critical customers supplied.",
+    )
+    assert after == f"{out} {work} No outage is announced."
+    assert page["reasons"] == ["no battery forms the grid behind line 2-4, which is out"]
+    assert page["events"] == [
+        "Line 2-4 out of service since 12:10, end unknown",
+        "Bus 3 out of service from 16:00 to 17:00",
+    ]

@@ -17,7 +17,7 @@ def test_each_part_has_its_balance_and_both_methods_agree(seed: int) -> None:
     """Of parts only powers are compared, not the rows that made them."""
     day = faulted_day(seed)
     site, data = Site.of(day), faulted_window(day)
-    assert data.sections is not None
+    assert not data.parts.whole
     answers = [WindowSolver(site, method).solve(data) for method in METHODS]
     for answer in answers:
         plan = answer.dispatch
@@ -28,11 +28,11 @@ def test_each_part_has_its_balance_and_both_methods_agree(seed: int) -> None:
             "customers": -data.load_kw * plan.served,
         }
         p_kw = bus_injections(site, given | {"batteries": plan.discharge_kw - plan.charge_kw})
-        for t, numbers in enumerate(data.sections.part):
+        for t, numbers in enumerate(data.parts.of_bus):
             sums = np.bincount(numbers, p_kw[t], site.network.n_buses)
             assert np.abs(sums[1:]).max() < 1e-3
         at = [site.network.bus_index[bus] for bus in site.customers.bus]
-        assert not plan.served[data.sections.dead[:, at]].any()
+        assert not plan.served[data.parts.dead[:, at]].any()
     decomposed, whole = answers
     gap = 1e-4 * max(abs(whole.objective), 0.01) + 1e-6
     assert decomposed.objective == pytest.approx(whole.objective, abs=gap)

@@ -22,6 +22,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
@@ -127,6 +128,7 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
         b.eta_charge,
         b.eta_discharge,
         np.zeros((steps, day.network.n_lines)),
+        parts=Parts.one(day.network, len(b), steps),
     )
 
 

@@ -26,6 +26,7 @@ from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.site import Site
+from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution
@@ -148,12 +149,13 @@ def test_a_controller_keeps_it_where_it_knows_no_more(tiny: Scenario) -> None:
 
 def test_the_price_is_above_every_import_and_export() -> None:
     row = np.zeros((2, 1))
+    nothing = OutOfService(np.zeros((2, 0), dtype=bool), np.zeros((2, 1), dtype=bool))
     for prices, export, expected in (
         ([0.2, 0.5], None, 1.0),
         ([-0.2, 0.0], None, 0.01),
         ([0.2, 0.3], Export([1.0, 1.0], [0.1, 0.4]), 0.8),
     ):
-        forecast = Forecast(row, row, prices, [np.inf, 0.0], [20.0, 20.0], export)
+        forecast = Forecast(row, row, prices, [np.inf, 0.0], [20.0, 20.0], export, out=nothing)
         terminal = Terminal.of(0.5, forecast, ends=True)
         assert terminal is not None
         assert terminal.price_gbp_per_kwh == pytest.approx(expected)

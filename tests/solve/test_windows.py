@@ -84,6 +84,19 @@ def test_energy_for_one_customer_goes_to_the_critical_one(method: str) -> None:
     assert not solve(short, method).dispatch.served.any()
 
 
+@pytest.mark.parametrize("missing_kwh, count", [(0.0, 2), (5e-7, 2), (1.5e-6, 2), (1e-3, 1)])
+def test_rounding_costs_nobody_the_service(missing_kwh: float, count: int) -> None:
+    """Two customers of 33.25 kW in the dark; 70 kWh between the limits give 66.5 kWh for them."""
+    day = replace(
+        two_buses([[33.25, 33.25]], [1.0, 1.0], [DARK]),
+        batteries=battery(p_max_kw=200.0, s_max_kva=200.0, soc=0.85 - missing_kwh / 0.95 / 100.0),
+    )
+    answer = solve(day)
+    assert answer.dispatch.served.sum() == count
+    assert answer.status == Status.OPTIMAL
+    assert check_dispatch(day, window(day), answer.dispatch).worst[1] < CHECKER_TOLERANCE
+
+
 def test_many_low_customers_outweigh_a_larger_one() -> None:
     # 1.0 for the large customer alone, 0.6 + 0.6 for the two small ones: 60 kW either way.
     day = replace(

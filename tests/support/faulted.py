@@ -10,10 +10,10 @@ import pandas as pd
 from benchmarks.usual_battery import USUAL_BATTERY
 from tests.support.small_windows import window
 from vppres.model.data import WindowData
-from vppres.model.sections import sections_of
+from vppres.model.parts import parts_of
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-from vppres.scenario.faults import Fault, OutOfService
+from vppres.scenario.faults import LineFault, OutOfService
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -85,14 +85,14 @@ def faulted_day(seed: int, steps: int = STEPS) -> Scenario:
     )
 
 
-def _faults(rng: np.random.Generator, at: np.ndarray, steps: int) -> list[Fault]:
+def _faults(rng: np.random.Generator, at: np.ndarray, steps: int) -> list[LineFault]:
     found = []
     for place in rng.choice(at, size=int(rng.integers(1, 3)), replace=False).tolist():
         begin = int(rng.integers(0, steps - 1))
         end = int(rng.integers(begin + 1, steps + 1))
         of_bus = rng.random() < 0.2
         found.append(
-            Fault(
+            LineFault(
                 START + begin * HOUR,
                 START + end * HOUR,
                 None if of_bus else place,
@@ -107,6 +107,5 @@ def faulted_window(day: Scenario) -> WindowData:
     """All steps as one window that knows all faults."""
     data = window(day)
     out = OutOfService.of(day.faults, day.network, day.grid, range(day.grid.n_steps))
-    assert out is not None
     site = Site.of(day)
-    return replace(data, sections=sections_of(site, out, data.soc, data.dark, False))
+    return replace(data, parts=parts_of(site, out, data.soc, data.dark, False))

@@ -12,6 +12,7 @@ from benchmarks.usual_battery import USUAL_BATTERY
 from vppres.control.step_state import StepState
 from vppres.kinds.export.physics import Export
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
@@ -100,6 +101,7 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
         b.eta_discharge,
         np.zeros((n_steps, scenario.network.n_lines)),
         export=Export.of(scenario, steps),
+        parts=Parts.one(scenario.network, len(b), n_steps),
     )
 
 
@@ -115,4 +117,5 @@ def first_step(scenario: Scenario, data: WindowData) -> StepState:
         data.eta_discharge,
         data.delta_pu2[0],
         np.ones(len(data.soc), dtype=bool),
+        parts=data.parts.steps(slice(1)),
     )

@@ -229,7 +229,7 @@ def test_plant_and_control_meet_only_at_the_contract() -> None:
     assert rooms_entered("control").isdisjoint({"plant"})
 
 
-ROWS = [module for module in FILES if re.fullmatch(r"kinds\.\w+\.rows", module)]
+ROWS = [m for m in FILES if re.fullmatch(r"kinds\.\w+\.rows|model\.(constraints|implied)", m)]
 
 
 @pytest.mark.parametrize("module", ROWS)

@@ -19,13 +19,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from vppres.cli import backtest_options as cli_backtest
-from vppres.cli import feeds_options as cli_feeds
-from vppres.cli import new_options as cli_new
-from vppres.cli import reconfigure_options as cli_reconfigure
-from vppres.cli import serve_options as cli_serve
-from vppres.cli import survival_options as cli_survival
-from vppres.cli import sweep_options as cli_sweep
+from vppres.cli import arguments as of
 from vppres.cli.endings import TERMINATED, Terminated, extra
 from vppres.cli.options import (
     CommandGroup,
@@ -345,12 +339,12 @@ def compare(
 def sweep(
     context: typer.Context,
     scenario: ScenarioName,
-    param: cli_sweep.Param,
-    out: cli_sweep.Out,
-    values: cli_sweep.Values = None,
-    range_: cli_sweep.Range = None,
-    jobs: cli_sweep.Jobs = None,
-    scheduler: cli_sweep.Scheduler = None,
+    param: of.Param,
+    out: of.SweepOut,
+    values: of.Values = None,
+    range_: of.Range = None,
+    jobs: of.Jobs = None,
+    scheduler: of.Scheduler = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -400,13 +394,13 @@ def sweep(
 def survival(
     context: typer.Context,
     scenario: ScenarioName,
-    out: cli_survival.Out,
-    lengths: cli_survival.Lengths = None,
-    onsets: cli_survival.Onsets = 200,
-    charged: cli_survival.Charged = None,
-    scale: cli_survival.Scale = None,
-    jobs: cli_sweep.Jobs = None,
-    scheduler: cli_sweep.Scheduler = None,
+    out: of.SurvivalOut,
+    lengths: of.Lengths = None,
+    onsets: of.Onsets = 200,
+    charged: of.Charged = None,
+    scale: of.Scale = None,
+    jobs: of.Jobs = None,
+    scheduler: of.Scheduler = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -441,11 +435,11 @@ def survival(
 )
 def new(
     context: typer.Context,
-    network: cli_new.NetworkName,
-    folder: cli_new.NewFolder,
-    outage: cli_new.Outages = None,
-    start: cli_new.Start = None,
-    date: cli_new.Date = None,
+    network: of.NetworkName,
+    folder: of.NewFolder,
+    outage: of.NewOutages = None,
+    start: of.Start = None,
+    date: of.Date = None,
 ) -> None:
     """Make an editable scenario folder from a network."""
     from vppres.feeders import import_network
@@ -470,17 +464,17 @@ def new(
 )
 def reconfigure(
     context: typer.Context,
-    network: cli_reconfigure.Source,
-    switch: cli_reconfigure.Switch = None,
-    v_min: cli_reconfigure.VMin = None,
-    v_max: cli_reconfigure.VMax = None,
-    ratings: cli_reconfigure.Ratings = True,
-    at: cli_reconfigure.At = None,
-    any_line: cli_reconfigure.AnyLine = False,
-    out: cli_reconfigure.Out = None,
-    most: cli_reconfigure.Most = 1_000_000,
-    attempts: cli_reconfigure.Attempts = 100,
-    seed: cli_reconfigure.Seed = 0,
+    network: of.Source,
+    switch: of.Switch = None,
+    v_min: of.VMin = None,
+    v_max: of.VMax = None,
+    ratings: of.Ratings = True,
+    at: of.At = None,
+    any_line: of.AnyLine = False,
+    out: of.ReconfigureOut = None,
+    most: of.Most = 1_000_000,
+    attempts: of.Attempts = 100,
+    seed: of.ReconfigureSeed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -491,6 +485,8 @@ def reconfigure(
     from vppres.feeders.reconfiguration.sources import feeder_of_network, feeder_of_scenario
     from vppres.feeders.reconfiguration.words import (
         count_words,
+        order_record,
+        order_words,
         outcome_words,
         reconfiguration_record,
     )
@@ -526,10 +522,12 @@ def reconfigure(
             seed=seed,
             progress=bar,
         )
+    order = source.order_to(switched, found.best, limits)
     record = {
         "feeder": source.name,
         **source.record,
         **reconfiguration_record(switched, found, limits),
+        "order": order_record(order),
     }
     written = []
     if out is not None and day is not None:
@@ -539,6 +537,7 @@ def reconfigure(
         record if as_json else None,
         reconfiguration_table(record),
         *outcome_words(switched, found),
+        *order_words(order),
         *written,
     )
 
@@ -578,20 +577,20 @@ def recheck(
 def serve(
     context: typer.Context,
     scenario: ScenarioName,
-    host: cli_serve.Host = "127.0.0.1",
-    port: cli_serve.Port = 8420,
-    state: cli_serve.State = None,
-    rehearse: cli_serve.Rehearse = False,
-    paced: cli_serve.Paced = False,
-    keep_days: cli_serve.KeepDays = 400.0,
-    notify: cli_serve.Notify = None,
-    add_token: cli_serve.AddToken = None,
-    token_days: cli_serve.TokenDays = None,
-    remove_token: cli_serve.RemoveToken = None,
-    certificate: cli_serve.Certificate = None,
-    key: cli_serve.Key = None,
-    behind_proxy: cli_serve.BehindProxy = False,
-    name: cli_serve.ProxyName = None,
+    host: of.Host = "127.0.0.1",
+    port: of.Port = 8420,
+    state: of.State = None,
+    rehearse: of.Rehearse = False,
+    paced: of.Paced = False,
+    keep_days: of.KeepDays = 400.0,
+    notify: of.Notify = None,
+    add_token: of.AddToken = None,
+    token_days: of.TokenDays = None,
+    remove_token: of.RemoveToken = None,
+    certificate: of.Certificate = None,
+    key: of.Key = None,
+    behind_proxy: of.BehindProxy = False,
+    name: of.ProxyName = None,
 ) -> None:
     r"""Run the controller of a scenario's site as an HTTP service.
 
@@ -641,11 +640,11 @@ def _state_place(scenario: str, state: str | None) -> str:
 def export(
     context: typer.Context,
     scenario: ScenarioName,
-    begin: cli_serve.Begin,
-    end: cli_serve.End,
-    out: cli_serve.RunFolder = RESULTS / "live",
-    state: cli_serve.ReadState = None,
-    explain: cli_serve.Explain = False,
+    begin: of.Begin,
+    end: of.End,
+    out: of.RunFolder = RESULTS / "live",
+    state: of.ReadState = None,
+    explain: of.Explain = False,
     as_json: Json = False,
 ) -> None:
     """Export a service's readings and plans as a run folder, for reports and what-ifs.
@@ -680,19 +679,19 @@ def export(
 )
 def simulate(
     context: typer.Context,
-    scenario: cli_serve.SiteName,
-    world: cli_serve.WorldName = None,
-    speed: cli_serve.Speed = 0.0,
-    url: cli_serve.Url = None,
-    token: cli_serve.AccessToken = None,
-    port: cli_serve.OwnPort = None,
-    state: cli_serve.OwnState = None,
-    announced: cli_serve.AnnouncedBefore = 24.0,
-    lost: cli_serve.LostShare = 0.0,
-    delayed: cli_serve.DelayedShare = 0.0,
-    skew: cli_serve.ClockSkew = 0.0,
-    repeats: cli_serve.Repeats = False,
-    seed: cli_serve.Seed = 0,
+    scenario: of.SiteName,
+    world: of.WorldName = None,
+    speed: of.ServeSpeed = 0.0,
+    url: of.ServeUrl = None,
+    token: of.AccessToken = None,
+    port: of.OwnPort = None,
+    state: of.OwnState = None,
+    announced: of.AnnouncedBefore = 24.0,
+    lost: of.LostShare = 0.0,
+    delayed: of.DelayedShare = 0.0,
+    skew: of.ClockSkew = 0.0,
+    repeats: of.Repeats = False,
+    seed: of.ServeSeed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -722,12 +721,12 @@ def simulate(
     epilog='Example: vppres feeds ukpn --postcode "CM4 0" --service http://127.0.0.1:8420',
 )
 def feeds(
-    feed: cli_feeds.Which = None,
-    postcode: cli_feeds.Postcodes = None,
-    service: cli_feeds.Url = None,
-    token: cli_serve.AccessToken = None,
-    every: cli_feeds.Every = 5.0,
-    record: cli_feeds.Record = None,
+    feed: of.Which = None,
+    postcode: of.Postcodes = None,
+    service: of.FeedsUrl = None,
+    token: of.AccessToken = None,
+    every: of.FeedsEvery = 5.0,
+    record: of.Record = None,
 ) -> None:
     """Follow a public feed of outages as events of a service, until Ctrl-C.
 
@@ -750,12 +749,12 @@ def feeds(
     epilog='Example: vppres feeds replay day ukpn --postcode "CM4 0" --speed 600',
 )
 def replay_feed(
-    folder: cli_feeds.Folder,
-    feed: cli_feeds.Played,
-    postcode: cli_feeds.Postcodes = None,
-    service: cli_feeds.Url = None,
-    token: cli_serve.AccessToken = None,
-    speed: cli_feeds.Speed = 0.0,
+    folder: of.Folder,
+    feed: of.Played,
+    postcode: of.Postcodes = None,
+    service: of.FeedsUrl = None,
+    token: of.AccessToken = None,
+    speed: of.FeedsSpeed = 0.0,
 ) -> None:
     """Play recorded answers of a feed: events come, change and go.
 
@@ -787,16 +786,16 @@ def _follower(
     epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest",
 )
 def backtest(
-    history: cli_backtest.HistoryName,
-    out: cli_backtest.Out = RESULTS / "backtest",
-    forecasts: cli_backtest.Forecasts = None,
-    warnings: cli_backtest.Warnings = None,
-    outages: cli_backtest.Outages = None,
-    horizon: cli_backtest.Horizon = 48.0,
-    every: cli_backtest.Every = 7.0,
-    first: cli_backtest.First = None,
-    last: cli_backtest.Last = None,
-    zone: cli_backtest.Zone = None,
+    history: of.HistoryName,
+    out: of.BacktestOut = RESULTS / "backtest",
+    forecasts: of.Forecasts = None,
+    warnings: of.Warnings = None,
+    outages: of.BacktestOutages = None,
+    horizon: of.Horizon = 48.0,
+    every: of.BacktestEvery = 7.0,
+    first: of.First = None,
+    last: of.Last = None,
+    zone: of.Zone = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -51,6 +51,40 @@ class SolveInfo:
 
 
 @dataclass(frozen=True, eq=False)
+class Switched:
+    """The configuration of a step in which switches may move, and why it is this one.
+
+    Parameters
+    ----------
+    closed : array of bool, shape (E,)
+        Lines and ties that are closed.
+    moved : str
+        Operations of the step, in words.
+    order : tuple of str
+        The operations one after another, each with what it does and the least margin after it.
+    ahead : str
+        Operations that the plan counts on, but that wait.
+    gain : float
+        What they are worth over the window, in weighted customer hours, beyond their price.
+    configurations, bounded, planned : int
+        Configurations in reach, how many ways of cutting the feeder were bounded for all of them,
+        and how many were planned.
+    why : str
+        Why switches move, and what it serves, or why none does.
+    """
+
+    closed: Flags
+    moved: str = ""
+    order: tuple[str, ...] = ()
+    ahead: str = ""
+    gain: float = 0.0
+    configurations: int = 0
+    bounded: int = 0
+    planned: int = 0
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class Decision:
     """Set-points of one step: row ``row`` of a dispatch.
 
@@ -76,6 +110,8 @@ class Decision:
         The customers' weights, where they are not the site's.
     seen : Observation, optional
         What was taken for true, where that is not what was read.
+    switched : Switched, optional
+        The configuration, in whose order buses and lines stand; None where no switch moves.
     """
 
     dispatch: Dispatch
@@ -88,6 +124,7 @@ class Decision:
     estimated: str = ""
     weight: Floats | None = None
     seen: Observation | None = None
+    switched: Switched | None = None
 
 
 class Decider(Protocol):

@@ -7,7 +7,7 @@ availability and temperature are known perfectly, as in the paper.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -60,8 +60,8 @@ class Forecast:
         Import price, largest import, ambient temperature.
     export : Export, optional
         What the grid takes back, None where the connection imports only.
-    out : OutOfService, optional
-        Lines and buses that are out, as far as it is known; None where nothing is.
+    out : OutOfService
+        Lines and buses that are out, as far as it is known.
     """
 
     load_kw: Floats
@@ -70,7 +70,7 @@ class Forecast:
     grid_limit_kw: Floats
     temperature_c: Floats
     export: Export | None = None
-    out: OutOfService | None = None
+    out: OutOfService = field(kw_only=True)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -85,13 +85,13 @@ class Forecast:
             self.grid_limit_kw[steps],
             self.temperature_c[steps],
             self.export and self.export.part(steps),
-            self.out and self.out.part(steps),
+            out=self.out.part(steps),
         )
 
     @property
     def in_parts_now(self) -> bool:
         """Whether lines are out in the first step."""
-        return self.out is not None and bool(self.out.lines[0].any())
+        return bool(self.out.lines[0].any())
 
     @property
     def export_now_kw(self) -> float:
@@ -169,6 +169,7 @@ class Forecaster:
             s.grid_limit_kw[rows],
             s.temperature_c[rows],
             Export.of(s, rows),
+            out=s.out_of_service(steps, known_at=t0),
         )
 
     def _checked(self, t0: int, steps: range) -> Wholes:

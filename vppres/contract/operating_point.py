@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from vppres.core.arrays import Flags, Floats
@@ -24,8 +24,8 @@ class OperatingPoint:
         Net injections of all buses but the slack bus's supply.
     island : bool, optional
         Whether the feeder was an island: some shunts are switched off there.
-    lines_out : array of bool, shape (L,), optional
-        Lines that were out; voltages are NaN where nothing held them. None where none was.
+    lines_out : array of bool, shape (L,)
+        Lines that were out; voltages are NaN where nothing held them.
     """
 
     v_pu: Floats
@@ -34,4 +34,4 @@ class OperatingPoint:
     p_injection_kw: Floats
     q_injection_kvar: Floats
     island: bool = False
-    lines_out: Flags | None = None
+    lines_out: Flags = field(kw_only=True)

@@ -17,7 +17,6 @@ from vppres.control.carried import Carried
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
-from vppres.model.formulas import charge_to_kw
 from vppres.model.site import Site
 from vppres.scenario.option_table import check_group
 from vppres.scenario.timegrid import TimeGrid
@@ -119,7 +118,7 @@ class ReserveController:
         """Charging power that would reach the level within the step, (B,)."""
         b = self.site.batteries
         level = b.soc_max if self.rule.soc is None else np.minimum(self.rule.soc, b.soc_max)
-        return charge_to_kw(level, state.soc, state.eta_charge, b, self.site.dt_h)
+        return state.batteries_ahead.charge_to_kw(level)
 
 
 def _decision(carried: Carried, status: str) -> Decision:

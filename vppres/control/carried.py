@@ -11,7 +11,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState, network_state, one_step
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.formulas import bus_injections, cell_kw, soc_after
+from vppres.model.formulas import bus_injections
 
 POWER_TOLERANCE_KW = 1e-6
 VOLTAGE_TOLERANCE_PU = 1e-6
@@ -124,7 +124,6 @@ def dispatch_of(
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge = np.maximum(battery_kw, 0.0)
     discharge = np.maximum(-battery_kw, 0.0)
-    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
     dispatch = one_step(
         served=served,
         pv_self_kw=own,
@@ -139,7 +138,7 @@ def dispatch_of(
         v_pu=v_pu,
         p_flow_kw=p_flow,
         q_flow_kvar=q_flow,
-        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
+        soc=state.batteries_ahead.path(charge[np.newaxis], discharge[np.newaxis]),
         given_kvar={kind: kvar[np.newaxis] for kind, kvar in given_kvar.items()},
     )
     for kind, kw in state.taken_kw.items():

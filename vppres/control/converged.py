@@ -22,6 +22,7 @@ from vppres.control.linearisation import BalancedLinearisation, Linearisation, P
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
 from vppres.model.data import Physics, WindowData
@@ -236,7 +237,7 @@ class ConvergedPlanner:
         """
         site = self.solver.site
         plan = solution.dispatch
-        if data.sections is not None:  # what one part curtails no battery of another could keep
+        if not data.parts.whole:  # what one part curtails no battery of another could keep
             return data, solution
         if deadline.passed or not (spent_kw(site, data, plan) > SPENT_KW).any():
             return data, solution
@@ -350,10 +351,9 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
         buses = site.kinds[kind].buses(site.customers)[one]
         reference[step] = [site.network.bus_index[bus] for bus in buses]
     forms = island[:, None] & forming_batteries(site)
-    if data.sections is not None:
-        parted = data.sections.any
-        reference = np.where(parted, np.maximum(data.sections.reference[:, 0], 0), reference)
-        forms = np.where(parted[:, None], data.sections.forms, forms)
+    parts = data.parts
+    reference = np.where(parts.cut, np.maximum(parts.reference[:, 0], 0), reference)
+    forms = np.where(parts.cut[:, None], parts.forms, forms)
     headroom_kw = np.where(forms, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     zero = np.zeros((W, site.network.n_lines))
     left_kw = np.minimum(headroom_kw, open_kw)
@@ -383,8 +383,7 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
     charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
     for t in range(data.n_steps):
         if np.isinf(data.grid_limit_kw[t]):
-            alone = False if data.sections is None else data.sections.forms[t]
-            reach = np.where(alone, reach, np.minimum(reach + charge, usable))
+            reach = np.where(data.parts.forms[t], reach, np.minimum(reach + charge, usable))
         wanted[t] = np.minimum(wanted[t], reach)
         reach = np.where(headroom_kw[t] > 0, wanted[t], reach)
     return wanted
@@ -398,11 +397,11 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     """
     b = site.batteries
     island = data.grid_limit_kw <= 0.0
-    parted = np.zeros_like(island) if data.sections is None else data.sections.any
+    parted = data.parts.cut
     formers = forming_batteries(site)
     if not formers.any():
         return island & ~parted
-    held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
+    held_kw = BatteriesAhead.of(b, data, site.dt_h).discharge_to_kw(b.soc_min)
     able = bool((b.holds_energy(data.soc) & (held_kw > _NO_POWER_KW))[formers].any())
     empty = np.zeros_like(island) if able else np.logical_and.accumulate(island)
     return empty & ~parted

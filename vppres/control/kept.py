@@ -13,8 +13,9 @@ import numpy as np
 
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
+from vppres.control.by_part import by_part, no_supply
 from vppres.control.carried import POWER_TOLERANCE_KW, Carried
-from vppres.control.rules import carry, rule_dispatch
+from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 
 
@@ -43,7 +44,8 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
 
 def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
     """Decision by rule as a fallback, with the reason for it."""
-    carried = rule_with_kinds(state, tiers)
+    carried = by_part(state, lambda part: rule_with_kinds(part.state, tiers))
+    assert carried is not None  # a rule always has an answer
     words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
     return Decision(
         carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
@@ -72,13 +74,13 @@ def _dispatch_beside_former(state: StepState, tiers: Sequence[str]) -> Carried:
     A customer that it can supply at its largest power gets what it lacks.
     """
     if not state.formers:
-        return _no_supply(state)
+        return no_supply(state)
     most = rule_dispatch(_beside_former(state, np.inf), tiers)
     served = most.dispatch.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     found = rule_dispatch(_beside_former(state, lacking_kw), tiers)
     closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
-    return found if closes else _no_supply(state)
+    return found if closes else no_supply(state)
 
 
 def _beside_former(state: StepState, wanted_kw: float) -> StepState:
@@ -89,17 +91,6 @@ def _beside_former(state: StepState, wanted_kw: float) -> StepState:
         each_kw = np.where(forms, np.minimum(wanted_kw, units.largest_kw), 0.0)
         acts[kind] = state.ahead.by_kind[kind].beside(units, each_kw, state.island, state.site.dt_h)
     return state.acting(acts)
-
-
-def _no_supply(state: StepState) -> Carried:
-    """A step of an island that no source can form: no supply, and all PV power curtailed."""
-    site = state.site
-    without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=None)
-    served = np.zeros(len(site.customers), dtype=bool)
-    found = carry(without_power, served, np.zeros(len(site.batteries)))
-    assert found is not None  # with no demand and no power every balance closes
-    curtailed = replace(found.dispatch, pv_curtailed_kw=state.pv_kw[np.newaxis])
-    return replace(found, dispatch=curtailed)
 
 
 def _only_supplied_take(plan: Dispatch, state: StepState) -> bool:

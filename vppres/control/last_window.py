@@ -54,9 +54,8 @@ class LastWindow:
 def kinds_of(data: WindowData) -> Wholes:
     """Source of the voltage in each step, (W,); by the parts where lines are out."""
     found = np.where(lit_steps(data), np.where(data.dark, ISLAND, GRID), NO_POWER)
-    if data.sections is not None:
-        for t in np.flatnonzero(data.sections.any & lit_steps(data)):
-            sources = data.sections.reference[t].astype("<i8").tobytes()
-            digest = hashlib.blake2b(sources, digest_size=6).digest()
-            found[t] = ISLAND + 1 + int.from_bytes(digest, "little")
+    for t in np.flatnonzero(data.parts.cut & lit_steps(data)):
+        sources = data.parts.reference[t].astype("<i8").tobytes()
+        digest = hashlib.blake2b(sources, digest_size=6).digest()
+        found[t] = ISLAND + 1 + int.from_bytes(digest, "little")
     return found

@@ -24,7 +24,7 @@ from vppres.model.beyond_paper.losses import (
 )
 from vppres.model.data import WindowData
 from vppres.model.linearise import Drawn, drawn_at
-from vppres.model.sections import Sections, sections_of
+from vppres.model.parts import parts_of
 from vppres.model.site import Site
 
 VOLTAGE_TOLERANCE_PU = 1e-4
@@ -100,9 +100,8 @@ class BalancedLinearisation:
         """
         data = WindowData.of(observation, self.site, "none")
         out = observation.window.out
-        if out is not None:
-            sections = sections_of(self.site, out, data.soc, data.dark, needs_former=True)
-            data = data.in_parts(self.site, sections)
+        parts = parts_of(self.site, out, data.soc, data.dark, needs_former=True)
+        data = data.in_parts(self.site, parts)
         network = self.site.network
         if not network.draws:
             return replace(data, drawn=None)
@@ -111,10 +110,8 @@ class BalancedLinearisation:
         if point is not None:
             v_pu = np.where(np.isnan(point.v_pu), v_pu, point.v_pu)
         everywhere = np.tile(v_pu, (data.n_steps, 1))
-        drawn = drawn_at(network, everywhere, data.drawing_islands)
-        if data.sections is not None:
-            drawn = drawn.at(~data.sections.dead)
-        return replace(data, drawn=drawn)
+        drawn = drawn_at(network, everywhere, data.in_island)
+        return replace(data, drawn=drawn.at(~data.parts.dead))
 
     def at_rest(self, data: WindowData) -> WindowData:
         """The window in plain LinDistFlow, without losses.
@@ -157,9 +154,7 @@ class BalancedLinearisation:
             these = (physics.reference == bus) & (data.dark == island)
             found = part if found is None else found.where(these, part)
         assert found is not None
-        if data.sections is None:
-            return found
-        return self._in_parts(data, data.sections, found, p, q)
+        return self._in_parts(data, found, p, q)
 
     def _sweeps_of(self, bus: int, island: bool, buses: Flags, lines: Flags) -> Sweeps:
         """Sweeps from a bus, where nothing draws but these buses and lines, made once."""
@@ -172,7 +167,7 @@ class BalancedLinearisation:
         return self._sweeps[key]
 
     def _in_parts(
-        self, data: WindowData, sections: Sections, points: ACPoints, p_kw: Floats, q_kvar: Floats
+        self, data: WindowData, points: ACPoints, p_kw: Floats, q_kvar: Floats
     ) -> ACPoints:
         """AC points of a window whose steps in which lines are out are solved part by part.
 
@@ -180,14 +175,15 @@ class BalancedLinearisation:
         voltages are those before the line that is out.
         """
         values = {f.name: np.array(getattr(points, f.name)) for f in fields(points)}
-        for t in np.flatnonzero(sections.any):
+        parts = data.parts
+        for t in np.flatnonzero(parts.cut):
             values["converged"][t] = True
-            for number in np.unique(sections.part[t]):
-                reference = int(sections.reference[t, number])
+            for number in np.unique(parts.of_bus[t]):
+                reference = int(parts.reference[t, number])
                 if number and reference < 0:
                     continue
-                buses = sections.part[t] == number
-                lines = buses[1:] & ~sections.lines[t]
+                buses = parts.of_bus[t] == number
+                lines = buses[1:] & ~parts.lines[t]
                 island = bool(data.in_island[t, number])
                 sweeps = self._sweeps_of(max(reference, 0), island, buses, lines)
                 found = sweeps.solve(*(np.where(buses, kw[[t]], 0.0) for kw in (p_kw, q_kvar)))
@@ -206,27 +202,23 @@ class BalancedLinearisation:
         lit = lit_steps(data)
         off_pu = np.abs(dispatch.v_pu - points.v_pu)[lit].max()
         missing_kw = points.loss_kw.sum(axis=1) - data.loss_kw
-        if (missing_kw[lit & data.dark] > SHORT_KW).any():
-            return False
-        if data.sections is not None and (self._short_kw(data, points) > SHORT_KW).any():
+        if (self._short_kw(data, points)[lit] > SHORT_KW).any():
             return False
         off_kw = np.abs(missing_kw)[lit].max()
         if data.drawn is not None:
-            found = drawn_at(self.site.network, points.v_pu[lit], data.drawing_islands[lit])
-            if data.sections is not None:
-                found = found.at(~data.sections.dead[lit])
+            found = drawn_at(self.site.network, points.v_pu[lit], data.in_island[lit])
+            found = found.at(~data.parts.dead[lit])
             off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]
             off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
         return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 
     def _short_kw(self, data: WindowData, points: ACPoints) -> Floats:
         """Losses that the plans of island parts lack, (W, N) by the number of the part."""
-        sections = data.sections
-        assert sections is not None
+        of_bus = data.parts.of_bus
         missing_kw = (points.loss_kw - data.require_physics().loss_kw) * data.lines_in_island
-        found = np.zeros(sections.part.shape)
+        found = np.zeros(of_bus.shape)
         steps = np.broadcast_to(np.arange(data.n_steps)[:, None], missing_kw.shape)
-        np.add.at(found, (steps, sections.part[:, 1:]), missing_kw)
+        np.add.at(found, (steps, of_bus[:, 1:]), missing_kw)
         return found
 
     def closer(

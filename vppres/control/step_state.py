@@ -14,15 +14,12 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
-from vppres.model.formulas import (
-    charge_to_kw,
-    discharge_to_kw,
-    lossless_flows,
-    squared_voltages,
-)
+from vppres.model.formulas import lossless_flows, squared_voltages
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
+from vppres.model.parts import Parts, parts_of
 from vppres.model.site import Site
 
 
@@ -57,6 +54,8 @@ class StepState:
         Vehicles, rooms and generating sets; none if not given.
     dark : bool, optional
         Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
+    parts : Parts
+        Parts into which lines that are out cut the feeder, one step.
     taken_kw, running : dict
         Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
     """
@@ -76,14 +75,27 @@ class StepState:
     due: Flags | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
     dark: bool = False
+    parts: Parts = field(kw_only=True)
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, site: Site, seen: Observation, centre: Centre = "lossless", online: Flags | None = None
+        cls,
+        site: Site,
+        seen: Observation,
+        centre: Centre = "lossless",
+        online: Flags | None = None,
+        needs_former: bool = False,
     ) -> StepState:
-        """The first step of an observation; all batteries are online if nothing else is said."""
+        """The first step of an observation; all batteries are online if nothing else is said.
+
+        ``needs_former`` is as for :func:`~vppres.model.parts.parts_of`.
+        """
+        able = np.ones(len(site.batteries), dtype=bool) if online is None else online
+        held = np.where(able, seen.soc, site.batteries.soc_min)
+        island = seen.forecast.grid_limit_kw[:1] <= 0.0
+        parts = parts_of(site, seen.forecast.out.part(slice(1)), held, island, needs_former)
         everyone = np.ones((1, len(site.customers)), dtype=bool)
         # Demand is higher for those who would be restored now.
         now = with_own_state(site, WindowData.of(seen, site, centre).first(1))
@@ -98,12 +110,13 @@ class StepState:
             now.eta_charge,
             now.eta_discharge,
             now.delta_pu2[0],
-            np.ones(len(site.batteries), dtype=bool) if online is None else online,
+            able,
             seen.forecast.export_now_kw,
             now.drawn,
             own_v_pu,
             None if seen.switching is None else seen.switching.due,
             now.ahead,
+            parts=parts,
         )
 
     @property
@@ -147,20 +160,19 @@ class StepState:
         return np.minimum(self.pv_kw, self.site.pv.s_max_kva)
 
     @cached_property
+    def batteries_ahead(self) -> BatteriesAhead:
+        """The batteries from this step on."""
+        return BatteriesAhead.of(self.site.batteries, self, self.site.dt_h)
+
+    @cached_property
     def charge_max_kw(self) -> Floats:
         """Largest charging power by rating and room, (B,)."""
-        b = self.site.batteries
-        until_full = charge_to_kw(b.soc_max, self.soc, self.eta_charge, b, self.site.dt_h)
-        most = np.minimum(b.active_max_kw, until_full)
-        return np.where(self.online, most, 0.0)
+        return np.where(self.online, self.batteries_ahead.most_kw()[0], 0.0)
 
     @cached_property
     def discharge_max_kw(self) -> Floats:
         """Largest discharging power by rating and stored energy, (B,)."""
-        b = self.site.batteries
-        until_empty = discharge_to_kw(b.soc_min, self.soc, self.eta_discharge, b, self.site.dt_h)
-        most = np.minimum(b.active_max_kw, until_empty)
-        return np.where(self.online, most, 0.0)
+        return np.where(self.online, self.batteries_ahead.most_kw()[1], 0.0)
 
     @property
     def flexible_kw(self) -> float:

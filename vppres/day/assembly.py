@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
+from vppres.control.switching import Switching
 from vppres.core.errors import SolveError, VerificationError
 from vppres.day.checks import check_run
 from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
@@ -28,6 +29,7 @@ from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.site import Site
+from vppres.scenario.configuration import Branches
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -74,6 +76,8 @@ def make_controller(
     grid = grid or scenario.grid
     options = options.on(scenario)
     check_run(scenario, options, grid)
+    if options.move_switches and scenario.switches.movable.any():
+        return _switching(scenario, options, faults, own)
     site = site_of(scenario, options.as_record())
     guard_options = _guard_options(scenario, options, simulated=own is not None)
     make = make_solver or _solver_maker(options)
@@ -106,6 +110,25 @@ def make_controller(
         off_h = hours_off(scenario.interruptions, scenario.customers.id)
         return Rotating(controllers(), scenario, rules, off_h)
     return decider_of(site)
+
+
+def _switching(
+    scenario: Scenario, options: RunOptions, faults: FaultInjector | None, own: Own | None
+) -> Switching:
+    """A controller that moves switches, with one of the options' for each configuration."""
+    fixed = replace(options, move_switches=False)
+    weighed_anew = options.shares_supply or (own is not None and own.weights is not None)
+    guard = _guard_options(scenario, options, simulated=own is not None)
+    return Switching(
+        Branches(scenario),
+        lambda day: make_controller(day, fixed, faults, own=own),
+        lambda day: site_of(day, options.as_record()),
+        None if weighed_anew else _solver_maker(replace(options, isolate=False)),
+        lambda site: {Site: site, SwitchingRules: options.switching},
+        options.centre,
+        options.limits,
+        guard.within,
+    )
 
 
 def _guard_options(scenario: Scenario, options: RunOptions, simulated: bool) -> GuardOptions:
@@ -155,7 +178,8 @@ def _plain_controller(
         return MPCController(
             solver, grid, options.horizon_h, centre, planner, options.switching.move_weight
         )
-    return FullHorizonController(solver, grid, options.pv_check, centre, planner)
+    physical = options.mode == "physical"
+    return FullHorizonController(solver, grid, options.pv_check, centre, planner, physical)
 
 
 def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:

@@ -36,7 +36,8 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     InputError
         With every option, column and kind of asset that has no meaning there, and the cure.
     """
-    problems = [*_faults(scenario), *_phased(scenario, options)] or [
+    check_faults(scenario)
+    problems = [*_phased(scenario, options)] or [
         *_cold(scenario, options),
         *_controller(scenario, options, grid),
     ]
@@ -47,12 +48,17 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
         physics[kind].check_prices(scenario, options.horizon_h, options.seed)
 
 
-def _faults(scenario: Scenario) -> Iterator[Problem]:
-    """Faults of lines and buses, which plans of balanced feeders know."""
-    if not scenario.faults:
-        return
-    if scenario.phases:
-        yield Problem("faults.csv", NOT_STATED, f"Remove the file, or {BALANCED}.")
+def check_faults(scenario: Scenario) -> None:
+    """Refuse faults of lines and buses where plans do not know them.
+
+    Raises
+    ------
+    InputError
+        For a feeder with phases.
+    """
+    if scenario.faults and scenario.phases:
+        cure = f"Remove the file, or {BALANCED}."
+        raise InputError.of("faults.csv", NOT_STATED, cure)
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
@@ -82,6 +88,9 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
             message = "share supply within tiers, which is for the controller mpc"
             cure = "Leave them at 0, or use the controller mpc."
             yield Problem("options", message, cure, field="rotation and minimum_on_h")
+        if options.move_switches:
+            cure = f"Use {MPC}, or leave the switches as they are."
+            yield Problem("options", f"are not moved by {name}", cure, field="move_switches")
     elif 0.0 < options.horizon_h < grid.dt_h:
         message = f"is shorter than a step of {grid.dt_h:g} h"
         cure = f"Give {grid.dt_h:g} or more, or 0 for the present step alone."
@@ -103,6 +112,7 @@ def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         ("mode", options.mode, options.mode != "physical", "physical"),
         ("controller", options.controller, options.controller != MPC, MPC),
         ("method", options.method, options.method != DECOMPOSED, DECOMPOSED),
+        ("move_switches", options.move_switches, options.move_switches, False),
     ):
         if wrong:
             cure = f"Use {cure}, or {BALANCED}."

@@ -38,6 +38,11 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
         ``fallbacks`` and ``solve_s``. ``resilience`` is NaN where a day has no outage.
     """
     days = _Days(run, _first_steps(run, zone))
+    stored = stored_energy_kwh(days.run)
+    after = np.append(days.first[1:], len(days.steps))
+    low, high = (days.steps[name].to_numpy(float) for name in ("v_min_ac_pu", "v_max_ac_pu"))
+    actions = switched(days.run)
+    of_customers = np.add.reduceat(actions.astype(float), days.first, axis=0)
     return pd.DataFrame(
         {
             "day": _times(run, zone)[days.first].strftime("%Y-%m-%d"),
@@ -46,9 +51,12 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
             **_service(days),
             **_energies(days),
             **_money(days),
-            **_stored(days),
-            **_voltages(days),
-            **_actions(days),
+            "stored_start_kwh": stored[days.first],
+            "stored_end_kwh": stored[after],
+            "v_min_ac_pu": np.minimum.reduceat(low, days.first),
+            "v_max_ac_pu": np.maximum.reduceat(high, days.first),
+            "switching_actions": days.total(actions.sum(axis=1)).astype(int),
+            "actions_max": of_customers.max(axis=1).astype(int),
             "fallbacks": days.total(days.steps["fallback"] != "none").astype(int),
             "solve_s": days.total(days.steps["solve_s"]),
         }
@@ -114,32 +122,6 @@ def _money(days: _Days) -> dict[str, Floats]:
         "cost_gbp": days.hours(price * run.imported_kw),
         "export_kwh": days.hours(run.exported_kw),
         "export_revenue_gbp": days.hours(export_price * run.exported_kw),
-    }
-
-
-def _stored(days: _Days) -> dict[str, Floats]:
-    """Energy of all batteries when a day begins and when it ends."""
-    stored = stored_energy_kwh(days.run)
-    after = np.append(days.first[1:], len(days.steps))
-    return {"stored_start_kwh": stored[days.first], "stored_end_kwh": stored[after]}
-
-
-def _voltages(days: _Days) -> dict[str, Floats]:
-    """Lowest and highest AC voltage."""
-    low, high = (days.steps[name].to_numpy(float) for name in ("v_min_ac_pu", "v_max_ac_pu"))
-    return {
-        "v_min_ac_pu": np.minimum.reduceat(low, days.first),
-        "v_max_ac_pu": np.maximum.reduceat(high, days.first),
-    }
-
-
-def _actions(days: _Days) -> dict[str, Wholes]:
-    """Switching actions of all customers, and the most of one."""
-    actions = switched(days.run)
-    of_customers = np.add.reduceat(actions.astype(float), days.first, axis=0)
-    return {
-        "switching_actions": days.total(actions.sum(axis=1)).astype(int),
-        "actions_max": of_customers.max(axis=1).astype(int),
     }
 
 

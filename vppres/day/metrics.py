@@ -22,6 +22,7 @@ from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
 from vppres.io.digest import scenario_digest
 from vppres.kinds.customer import record as customer
 from vppres.plant.plant import NOBODY
+from vppres.scenario.configuration import Branches
 from vppres.scenario.remarks import darkness, unknown_phases
 
 PACKAGES = ("vppres", "numpy", "cvxpy", "highspy", "pyscipopt", "pandapower")
@@ -294,14 +295,15 @@ def voltage_figures(trajectory: Trajectory) -> dict[str, float]:
 
 
 def line_current_a(trajectory: Trajectory) -> Floats:
-    """Current of each line in the AC power flow, shape (T, L).
+    """Current of each line, and in runs that move switches each tie, (T, L) or (T, E).
 
     ``I = |S| / (sqrt(3) V)`` with power and voltage at the sending end; without shunts it is the
     same along the line. Zero where a bus has no voltage.
     """
     net = trajectory.scenario.network
     s_kva = np.hypot(*(trajectory.by_step("lines", name) for name in ("p_ac_kw", "q_ac_kvar")))
-    v_pu = trajectory.by_step("buses", "v_ac_pu")[:, net.parent]
+    first = Branches(trajectory.scenario).ends[: s_kva.shape[1], 0]
+    v_pu = trajectory.by_step("buses", "v_ac_pu")[:, first]
     live = np.nan_to_num(v_pu) > 0
     current = kva_to_a(s_kva, np.where(live, v_pu, 1.0) * net.base_kv)
     return np.where(live, current, 0.0)
@@ -309,8 +311,9 @@ def line_current_a(trajectory: Trajectory) -> Floats:
 
 def line_loading(trajectory: Trajectory) -> Floats:
     """Current of each line as a share of its rating, shape (T, L); NaN for lines without one."""
-    rating = trajectory.scenario.network.i_max_a
-    return line_current_a(trajectory) / np.where(np.isfinite(rating), rating, np.nan)
+    current_a = line_current_a(trajectory)
+    rating = Branches(trajectory.scenario).rating_a[: current_a.shape[1]]
+    return current_a / np.where(np.isfinite(rating), rating, np.nan)
 
 
 def line_figures(trajectory: Trajectory) -> dict[str, float | None]:

@@ -82,6 +82,8 @@ class RunOptions:
         runs.
     switching : SwitchingRules
         Rules on switching customers; none by default.
+    move_switches : bool
+        Whether switches of the feeder move where that serves more.
     guard : bool
         Whether decisions are checked, and replaced by a fallback if they fail.
     protect_critical : bool
@@ -120,6 +122,7 @@ class RunOptions:
     minimum_on_h: float | None = None
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
+    move_switches: bool = default_of("move_switches")
     guard: bool = default_of("guard")
     protect_critical: bool = default_of("protect_critical")
     reserve: ReserveRule = field(default_factory=ReserveRule)

@@ -73,6 +73,14 @@ class Own:
                 field="controller",
                 value=_name(self.controller),
             )
+        if self.controller is not None and options.move_switches:
+            raise InputError.of(
+                "run_day",
+                "leaves the switches as they are",
+                "Leave out move_switches of RunOptions.",
+                field="controller",
+                value=_name(self.controller),
+            )
         forecast = getattr(self.forecaster, "forecast", None)
         is_class = isinstance(self.forecaster, type)
         if self.forecaster is not None and (is_class or not callable(forecast)):

@@ -15,7 +15,8 @@ from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import LOSSES, OPTIONS, SHARE, TIME_ON, Trajectory
 from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
-from vppres.scenario.network import BusId
+from vppres.scenario.configuration import Branches
+from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
 
 ITEM_COLUMNS = {
@@ -108,10 +109,13 @@ class Recorder:
     ----------
     scenario : Scenario
         The day that is run.
+    branches : Branches, optional
+        Its lines and ties, in runs that move switches.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, branches: Branches | None = None) -> None:
         self._scenario = scenario
+        self._lines = scenario.network if branches is None else branches
         self._records: list[StepRecord] = []
 
     @property
@@ -153,7 +157,8 @@ class Recorder:
                 f"missing in options: {', '.join(missing)}" if missing else "no step was recorded"
             )
         tables = {
-            name: self._table(name, fixed) for name, fixed in _identifiers(self._scenario).items()
+            name: self._table(name, fixed)
+            for name, fixed in _identifiers(self._scenario, self._lines).items()
         }
         steps = self._steps()
         n_seen = self._scenario.grid.steps_in_horizon(float(options["horizon_h"] or 0.0))
@@ -173,7 +178,7 @@ class Recorder:
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
-        for table, fixed in _identifiers(self._scenario).items():
+        for table, fixed in _identifiers(self._scenario, self._lines).items():
             length = len(next(iter(fixed.values())))
             for name in ITEM_COLUMNS[table]:
                 shape = np.shape(getattr(step, table)[name])
@@ -243,7 +248,9 @@ class Recorder:
         )
 
 
-def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:
+def _identifiers(
+    scenario: Scenario, lines: Network | Branches
+) -> dict[str, dict[str, NDArray[Any]]]:
     """The columns of each table with items that no step changes."""
     c = scenario.customers
     pv = scenario.pv
@@ -254,7 +261,7 @@ def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:
         "pv": {"id": pv.id, "customer": pv.customer, "bus": _bus_labels(pv.buses(c))},
         "batteries": {"id": b.id, "bus": _bus_labels(b.bus)},
         "buses": {"bus": _bus_labels(net.buses)},
-        "lines": {"from_bus": _bus_labels(net.from_bus), "to_bus": _bus_labels(net.to_bus)},
+        "lines": {"from_bus": _bus_labels(lines.from_bus), "to_bus": _bus_labels(lines.to_bus)},
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.contract.ahead import KindsAhead, past_days_of
-from vppres.contract.decision import Decider, Decision, SolveInfo
+from vppres.contract.decision import Decider, Decision, SolveInfo, Switched
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
@@ -28,16 +28,25 @@ from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
-from vppres.day.trajectory import LINES_OUT, SHARE, Trajectory
+from vppres.day.trajectory import (
+    LINES_OUT,
+    SHARE,
+    SWITCHED,
+    SWITCHES_OPEN,
+    SWITCHING_AHEAD,
+    SWITCHING_WHY,
+    Trajectory,
+)
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
-from vppres.physics.feeder import power_flows
+from vppres.physics.feeder import PowerFlow, power_flows
 from vppres.physics.powerflow import ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.parts import PlantInParts
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
+from vppres.scenario.configuration import Branches, Configured, in_configuration
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.priority import STRICT
@@ -106,6 +115,27 @@ def run_day(
     return replace(run, options={**run.options, **parts_record(scenario), **own.record()})
 
 
+@dataclass(frozen=True, eq=False)
+class PlantIn:
+    """The plant of a day in a configuration, and its power flows."""
+
+    day: Configured
+    plant: Plant
+    ac: PowerFlow
+    island_ac: PowerFlow
+    island: IslandPlant
+    in_parts: PlantInParts
+
+    @classmethod
+    def of(cls, branches: Branches, closed: Flags, options: RunOptions) -> PlantIn:
+        """The plant of a configuration, in its first state."""
+        day = in_configuration(branches, closed)
+        plant = Plant(day.scenario, options.thermal, options.switching)
+        ac, island_ac = power_flows(day.scenario)
+        island = IslandPlant(plant, island_ac)
+        return cls(day, plant, ac, island_ac, island, PlantInParts(plant))
+
+
 class Day:
     """State of a run between two steps."""
 
@@ -119,6 +149,8 @@ class Day:
         self.scenario = scenario
         self.options = options.on(scenario)
         self.faults = faults
+        self.branches = Branches(scenario)
+        self.configured = in_configuration(self.branches, self.branches.closed)
         self.plant = Plant(scenario, options.thermal, options.switching)
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
@@ -132,7 +164,9 @@ class Day:
         self.ac, self.island_ac = power_flows(scenario)
         self.island = IslandPlant(self.plant, self.island_ac)
         self.in_parts = PlantInParts(self.plant)
-        self.recorder = Recorder(scenario)
+        moves = self.options.move_switches and scenario.switches.movable.any()
+        self.recorder = Recorder(scenario, self.branches if moves else None)
+        self._plants: dict[bytes, PlantIn] = {}
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
@@ -146,8 +180,6 @@ class Day:
         """Observation of the controller at step ``t``."""
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
-        if self.scenario.faults:
-            forecast = replace(forecast, out=self.scenario.out_of_service(steps, known_at=t))
         s = self.state
         ends = steps.stop == self.scenario.grid.n_steps
         seen = Observation(
@@ -212,6 +244,8 @@ class Day:
 
     def settle(self, t: int, decision: Decision) -> StepRecord:
         """Record of a decision's step; the day is at the step after it."""
+        if decision.switched is not None:
+            self._configure(decision.switched.closed)
         done = self.carry_out(t, decision)
         realised = done.realised
         kinds = records_of(self.plant, t, realised)
@@ -220,11 +254,13 @@ class Day:
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.scenario.faults:
             out = self.scenario.out_of_service(range(t, t + 1))
-            steps[LINES_OUT] = "" if out is None else out.name(self.scenario.network, 0)
+            steps[LINES_OUT] = " and ".join(out.names(self.scenario.network, 0))
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
         record = replace(record, steps=steps, kinds=kinds)
-        out = self.scenario.out_of_service(range(t, t + 1))
+        if decision.switched is not None:
+            record = self._in_order(record, decision.switched, result)
+        out = self.configured.scenario.out_of_service(range(t, t + 1))
         self.operating_point = (
             None
             if done.dark
@@ -235,7 +271,7 @@ class Day:
                 self.plant.places.at_buses(realised.p_injection_kw),
                 self.plant.places.at_buses(realised.q_injection_kvar),
                 bool(self.scenario.outage[t]),
-                None if out is None else out.lines[0],
+                lines_out=out.lines[0],
             )
         )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
@@ -249,8 +285,8 @@ class Day:
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """Outcome of a decision; physical mode's islands hold themselves, and so do parts."""
-        out = self.scenario.out_of_service(range(t, t + 1))
-        if out is not None:
+        out = self.configured.scenario.out_of_service(range(t, t + 1))
+        if out.lines.any():
             every = np.ones(len(self.scenario.batteries), dtype=bool)
             online = every if self.faults is None else self.faults.online(t)
             held = self._held_by_batteries(t)
@@ -261,6 +297,42 @@ class Day:
         if self.faults:
             self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
+
+    def _configure(self, closed: Flags) -> None:
+        """Go on with the plant of a configuration, in the state of the one before."""
+        key = closed.tobytes()
+        if key not in self._plants:
+            self._plants[key] = PlantIn.of(self.branches, closed, self.options)
+        now, before = self._plants[key], self.plant
+        if now.plant is not before:
+            now.plant.go_on_from(before)
+        self.configured, self.plant, self.in_parts = now.day, now.plant, now.in_parts
+        self.ac, self.island_ac, self.island = now.ac, now.island_ac, now.island
+
+    def _in_order(self, record: StepRecord, switched: Switched, ac: ACResult) -> StepRecord:
+        """A record with buses and branches in the order of the day, and what was switched."""
+        day, branches = self.configured, self.branches
+        arriving = {"p_ac_kw": ac.p_to_kw, "q_ac_kvar": ac.q_to_kvar}
+        of_switches = {
+            SWITCHED: switched.moved,
+            "switching_order": ". ".join(switched.order),
+            SWITCHES_OPEN: branches.open_names(switched.closed),
+            SWITCHING_AHEAD: switched.ahead,
+            "switching_gain": switched.gain,
+            SWITCHING_WHY: switched.why,
+            "configurations": switched.configurations,
+            "partitions_bounded": switched.bounded,
+            "configurations_planned": switched.planned,
+        }
+        return replace(
+            record,
+            steps={**record.steps, **of_switches},
+            buses={name: day.at_buses(values) for name, values in record.buses.items()},
+            lines={
+                name: day.at_branches(values, arriving.get(name))
+                for name, values in record.lines.items()
+            },
+        )
 
     def _held_by_batteries(self, t: int) -> bool:
         """Whether a step is an island of physical mode."""

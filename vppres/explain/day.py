@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.day.configured import configurations_of, run_in
 from vppres.day.recorder import ROTATED
 from vppres.day.simulate import Progress
 from vppres.day.trajectory import Trajectory
@@ -87,16 +88,25 @@ def steps_of(trajectory: Trajectory, progress: Progress | None = None) -> list[S
 
 
 def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
-    """The record for each of some steps, with the weights of its plan; equal ones share it."""
-    n_steps = len(trajectory.steps)
-    if ROTATED not in trajectory.customers:
-        return [Recorded(trajectory)] * len(range(n_steps)[steps])
-    rows = trajectory.by_step("customers", ROTATED)[steps]
-    found: dict[bytes, Recorded] = {}
-    for weight in rows:
-        if weight.tobytes() not in found:
-            found[weight.tobytes()] = Recorded(trajectory, weight)
-    return [found[weight.tobytes()] for weight in rows]
+    """The record for each of some steps, in its configuration and with the weights of its plan.
+
+    Steps with the same share it.
+    """
+    which = range(len(trajectory.steps))[steps]
+    rotated = ROTATED in trajectory.customers
+    weights = trajectory.by_step("customers", ROTATED) if rotated else None
+    closed = configurations_of(trajectory)
+    found: dict[tuple[bytes, ...], Recorded] = {}
+    recorded = []
+    for t in which:
+        weight = None if weights is None else weights[t]
+        now = None if closed is None else closed[t]
+        key = tuple(b"" if each is None else each.tobytes() for each in (weight, now))
+        if key not in found:
+            run = trajectory if now is None else run_in(trajectory, now)
+            found[key] = Recorded(run, weight)
+        recorded.append(found[key])
+    return recorded
 
 
 def _actions(step: Step) -> list[Row]:

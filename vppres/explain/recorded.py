@@ -38,7 +38,7 @@ from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import GRID, phased_model
 from vppres.model.ratings import with_ratings
-from vppres.scenario.faults import Parts
+from vppres.scenario.faults import behind, parts_by_bus
 from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import FixedDecisions
@@ -202,11 +202,9 @@ class Recorded:
     def behind(self, t: int, bus: BusId) -> str:
         """The line that is out between a bus and the grid in a step, in words; empty for none."""
         out = self.scenario.out_of_service(range(t, t + 1))
-        if out is None:
-            return ""
-        parts = Parts(self.scenario.network, out.lines[0])
-        number = int(parts.of_bus[self.scenario.network.bus_index[bus]])
-        return parts.behind(number) if number else ""
+        network = self.scenario.network
+        number = int(parts_by_bus(network, out.lines)[0, network.bus_index[bus]])
+        return behind(network, number) if number else ""
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -334,8 +332,6 @@ class Recorded:
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""
         now = self._forecaster.at(t, steps)
-        if self.scenario.faults:
-            now = replace(now, out=self.scenario.out_of_service(steps, known_at=t))
         if self.options["controller"] not in (FULL_HORIZON, PERFECT):
             return now
         planned = self._forecaster.at(0, steps)
@@ -346,7 +342,7 @@ class Recorded:
             now.grid_limit_kw,
             now.temperature_c,
             now.export,
-            now.out,
+            out=now.out,
         )
 
     def _observation_at(self, t: int, steps: range) -> Observation:
@@ -401,7 +397,7 @@ class Recorded:
             p_kw,
             q_kvar,
             bool(self.scenario.outage[t]),
-            None if out is None else out.lines[0],
+            lines_out=out.lines[0],
         )
 
     def _given(self, t: int) -> tuple[dict[str, Floats], dict[str, Floats]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from vppres.day.trajectory import SWITCHED, SWITCHING_AHEAD, SWITCHING_WHY
 from vppres.explain.kept import why_kept
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
@@ -14,7 +15,20 @@ def why_step(step: Step) -> Reason:
     """Reason for a step as a whole, and for the energy that it keeps."""
     reason = _main_reason(step)
     kept = "" if step.dark or step.fallback else why_kept(step)
-    return replace(reason, words=f"{reason.words} {kept}".rstrip())
+    words = [reason.words, kept, _switching_words(step)]
+    return replace(reason, words=" ".join(filter(None, words)))
+
+
+def _switching_words(step: Step) -> str:
+    """Why switches move now or later, or that none would serve more who is off."""
+    moved, ahead, why = (
+        step.recorded.note(step.t, name) for name in (SWITCHED, SWITCHING_AHEAD, SWITCHING_WHY)
+    )
+    if moved:
+        return f"{moved[:1].upper()}{moved[1:]}: {why}."
+    if ahead:
+        return f"Planned ahead: {ahead}; {why}."
+    return "" if step.served.all() or not why else f"{why[:1].upper()}{why[1:]}."
 
 
 def _main_reason(step: Step) -> Reason:

@@ -173,7 +173,9 @@ def _feeder(found: _Net, name: str, changes: PermittedChanges) -> ImportedFeeder
         feeder = replace(feeder, source_flow=flow, causes=flow.told(feeder) + feeder.causes)
         given = given_deviation(feeder, flow.as_given(), flow.losses_kw)
         feeder = replace(feeder, deviation=given)
-    feeder = _with_profiles(feeder, found.profiles or profiles_of(net))
+    profiles = found.profiles or profiles_of(net)
+    known = {*feeder.loads.id, *feeder.generators.id, *feeder.storages.id}
+    feeder = replace(feeder, profiles=tuple(p for p in profiles if p.name in known))
     return replace(feeder, notes=notes + made + feeder.notes)
 
 
@@ -216,12 +218,6 @@ def _with_phases_of_net(
     if found.profiles or profiles_of(net):
         notes += ("Series of the source are left out: they name no phases.",)
     return replace(feeder, phased=phased, notes=(*notes, *feeder.notes, *phased.notes))
-
-
-def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:
-    """The feeder with the series of the elements that it has."""
-    known = {*feeder.loads.id, *feeder.generators.id, *feeder.storages.id}
-    return replace(feeder, profiles=tuple(p for p in profiles if p.name in known))
 
 
 @contextmanager
@@ -324,16 +320,12 @@ def _unreadable(path: Path, what: str, reason: object) -> InputError:
     )
 
 
-def _from_one(net: Any) -> dict[int, BusId]:
-    return {int(bus): int(bus) + 1 for bus in net.bus.index}
-
-
 def _case33() -> _Net:
     """Baran and Wu's 33 buses, numbered from 1 as published; its tie lines are open."""
     import pandapower.networks as networks
 
     net = networks.case33bw()
-    return _Net(net, _from_one(net))
+    return _Net(net, {int(bus): int(bus) + 1 for bus in net.bus.index})
 
 
 def _published(name: str) -> Callable[[], _Net]:

@@ -12,14 +12,14 @@ from vppres.io.messages import few
 from vppres.io.rows import Rows
 from vppres.io.settings import SCENARIO_FILE
 from vppres.io.tables import Table
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import BusId
 
 
-def faults_of(rows: Rows, read_bus: Callable[[str], BusId]) -> tuple[Fault, ...]:
+def faults_of(rows: Rows, read_bus: Callable[[str], BusId]) -> tuple[LineFault, ...]:
     """The faults of rows in which nothing is wrong."""
     return tuple(
-        Fault(
+        LineFault(
             pd.Timestamp(row.start),
             pd.Timestamp(row.end),
             read_bus(row.line) if row.line else None,

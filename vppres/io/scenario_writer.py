@@ -27,12 +27,11 @@ from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
-from vppres.scenario.source import Source
 from vppres.scenario.switches import SWITCH_DEFAULTS
 from vppres.scenario.timegrid import UTC, TimeGrid
 
@@ -134,7 +133,19 @@ def _unusual(scenario: Scenario) -> dict[str, Any]:
     if scenario.outage_statistics != OutageStatistics():
         sections["outage_statistics"] = _given(scenario.outage_statistics)
     if scenario.source:
-        sections["source"] = _source(scenario.source)
+        source = scenario.source
+        deviation = {
+            name: float(value)
+            for name, value in asdict(source.deviation).items()
+            if value is not None
+        }
+        sections["source"] = {
+            "name": source.name,
+            "kind": source.kind,
+            **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
+            "notes": list(source.notes),
+            **({"deviation": deviation} if deviation else {}),
+        }
     return sections
 
 
@@ -150,20 +161,6 @@ def _time(grid: TimeGrid) -> dict[str, Any]:
         "step_minutes": float(grid.step_minutes),
         "steps": int(grid.n_steps),
         **({"zone": grid.zone} if grid.zone != UTC else {}),
-    }
-
-
-def _source(source: Source) -> dict[str, Any]:
-    """Fields of the source that are known; TOML has no word for the others."""
-    deviation = {
-        name: float(value) for name, value in asdict(source.deviation).items() if value is not None
-    }
-    return {
-        "name": source.name,
-        "kind": source.kind,
-        **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
-        "notes": list(source.notes),
-        **({"deviation": deviation} if deviation else {}),
     }
 
 
@@ -216,7 +213,7 @@ def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
     return frame_of(tuple(interruptions), schema.OutageRow)
 
 
-def _fault_frame(faults: Sequence[Fault]) -> pd.DataFrame:
+def _fault_frame(faults: Sequence[LineFault]) -> pd.DataFrame:
     """Faults as rows of ``faults.csv``; a column of numbers with empty cells would have points."""
     frame = frame_of(tuple(faults), schema.FaultRow, ("known",))
     for name in frame.columns.intersection(["line", "bus"]):

@@ -15,6 +15,7 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, SolveError, VppresError
 from vppres.day.assembly import make_controller
+from vppres.day.checks import check_faults
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
@@ -25,6 +26,7 @@ from vppres.live.present import Present
 from vppres.live.set_points import SetPoints
 from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
+from vppres.scenario.faults import LineFault
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -113,9 +115,9 @@ class Controller:
         SolverLostError
             If the solver process does not start.
         """
-        if scenario.faults:
-            message, cure = "is not followed live", "Remove the file."
-            raise InputError.of("faults.csv", message, cure)
+        if options is not None and options.move_switches:
+            message, cure = "is not for live controllers", "Leave it out."
+            raise InputError.of("options", message, cure, field="move_switches")
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )
@@ -228,6 +230,41 @@ class Controller:
         with self._turn:
             before = () if replacing else self.scenario.warnings
             self.scenario = replace(self.scenario, warnings=(*before, *warnings))
+
+    def report(self, *faults: LineFault, replacing: bool = False) -> None:
+        """Add faults of lines and buses; plans from the next step on know them.
+
+        A fault whose end changes, or that is repaired, is reported anew with all others.
+
+        Parameters
+        ----------
+        *faults : LineFault
+            What is out of service, and until when as far as it is known.
+        replacing : bool, optional
+            Whether they replace all earlier ones, those of the scenario among them.
+
+        Raises
+        ------
+        InputError
+            For a line or bus that is not there, and on feeders with phases.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> import vppres
+        >>> from vppres.scenario.faults import LineFault
+        >>> day = vppres.load_scenario("uk-heatwave-2022")
+        >>> controller = Controller.of(day)
+        >>> noon = pd.Timestamp("2022-07-19T12:00Z")
+        >>> controller.report(LineFault(noon, noon + pd.Timedelta(hours=6), line=7))
+        >>> [fault.name(day.network) for fault in controller.scenario.faults]
+        ['line 6-7']
+        """
+        with self._turn:
+            before = () if replacing else self.scenario.faults
+            found = replace(self.scenario, faults=(*before, *faults))
+            check_faults(found)
+            self.scenario = found
 
     def out_probability(self, time: Any) -> pd.Series:
         """Probability of an outage in each step from a time on, at most 48 h ahead.

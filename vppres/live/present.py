@@ -9,7 +9,7 @@ import numpy as np
 
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import batteries_out
-from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
@@ -25,7 +25,6 @@ from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
 from vppres.plant.plant import BatteryState
-from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
 
@@ -103,7 +102,11 @@ class Present:
         b, kinds = seen.scenario.batteries, self.kinds.values()
         return Observation(
             self.t,
-            _beginning_with(seen, forecast),
+            replace(  # it begins with what was measured; who is cut off takes nothing
+                forecast,
+                load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
+                pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
+            ),
             seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max),
             seen.eta_charge,
             seen.eta_discharge,
@@ -166,12 +169,19 @@ class Present:
 
     def after(self, day: Day, record: StepRecord) -> Past:
         """State of a :meth:`day` after its first step, from which the next step goes on."""
+        believed = day.scenario
+        seen = self.seen
+        unread_load = np.isnan(seen.load_kw) | ~seen.connected
         return Past(
             t=self.t,
             operating_point=day.operating_point,
             switching=day.plant.switching,
             served=record.customers["served"],
-            history=self._extended_history(day.scenario),
+            history=self.past.with_measured(  # what was not read, or cannot be, is NaN
+                believed.grid.times[0],
+                np.where(unread_load, np.nan, believed.load_kw[0]),
+                np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
+            ),
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.plant.owed,
@@ -180,25 +190,6 @@ class Present:
                 for kind, now in self.kinds.items()
             },
         )
-
-    def _extended_history(self, believed: Scenario) -> History | None:
-        """The history with what was read; what was not, or cannot be read, is NaN."""
-        seen = self.seen
-        unread_load = np.isnan(seen.load_kw) | ~seen.connected
-        return self.past.with_measured(
-            believed.grid.times[0],
-            np.where(unread_load, np.nan, believed.load_kw[0]),
-            np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
-        )
-
-
-def _beginning_with(seen: Seen, forecast: Forecast) -> Forecast:
-    """A forecast whose first step is what was measured; who is cut off takes nothing."""
-    return replace(
-        forecast,
-        load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
-        pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
-    )
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:

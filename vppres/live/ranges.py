@@ -56,6 +56,7 @@ RANGES: Mapping[str, Range] = {
     "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, FINITE, CORRECT, UNIT),
     "online": FLAG,
     "grid_on": FLAG,
+    "closed": FLAG,
     **{name: each for part in parts("live").values() for name, each in part.RANGES.items()},
     **{name: series_range(name) for name in SERIES},
 }

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import lower_tiers_now
-from vppres.day.recorder import ROTATED, StepRecord
+from vppres.day.recorder import OFF_BY_FAULT, ROTATED, StepRecord
 from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.kinds.customer.physics import SwitchingState
@@ -37,6 +37,9 @@ SOLVE_FIGURES = (
 """Figures of the solution in set-points, of every step's record."""
 
 
+MORE = ("off_h", ROTATED, SHARE, OFF_BY_FAULT)
+"""Columns of customers that not all sites and steps have."""
+
 SHED = "shed"
 """The status of an optimal plan that its island does not hold as a whole."""
 
@@ -54,7 +57,8 @@ class SetPoints(SetPointsOfKinds):
         ``off_h``, for how long it is off by the end of the step, on sites with longest times off;
         ``rotated_weight``, its weight in the plan, if supply is shared within tiers;
         ``share``, the part of its demand that it gets, on sites that dim customers;
-        ``shed``, whether the plan served it and the island cannot.
+        ``shed``, whether the plan served it and the island cannot;
+        ``off_by_fault``, why its part of the feeder is blacked out, where lines are out.
     batteries : DataFrame
         ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
         of charge that was decided on, and ``soc_end``, the one that is expected after the step.
@@ -92,6 +96,8 @@ class SetPoints(SetPointsOfKinds):
         ``bus``, whether each set is ``running``, ``p_kw``, how long it was on (negative: off) as
         ``hours_before`` and gave what as ``p_before_kw``, ``fuel_litres`` that were decided on,
         ``fuel_end_litres``, and whether it is ``out``; None without generating sets.
+    lines_out : tuple of str
+        Lines and buses that are out of service, in words.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -107,6 +113,7 @@ class SetPoints(SetPointsOfKinds):
     feeding: Feeding
     foreseen: Foreseen
     by_phase: ByPhase | None = None
+    lines_out: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -150,6 +157,7 @@ class SetPoints(SetPointsOfKinds):
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
+            lines_out=tuple(scenario.out_of_service(range(1)).names(scenario.network, 0)),
             **_of_kinds(scenario, step, kinds or {}),
         )
 
@@ -209,7 +217,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         load_kvar=columns["q_load_kvar"],
         served=columns["served"],
         shed=columns["shed"],
-        **{name: columns[name] for name in ("off_h", ROTATED, SHARE) if name in columns},
+        **{name: columns[name] for name in MORE if name in columns},
     )
 
 

@@ -25,13 +25,15 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import SERIES as OF_KINDS
 from vppres.live.past import Past
 from vppres.model.site import Site
+from vppres.scenario.faults import LineFault
 from vppres.scenario.history import History
+from vppres.scenario.network import Network
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 4
+VERSION = 5
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
@@ -101,6 +103,7 @@ def _body(standing: Standing, decider: Decider, options: RunOptions) -> dict[str
             "forgotten": standing.forgotten,
             "series": {name: to_plain(getattr(known, name)) for name in SERIES},
             "warnings": to_plain(known.warnings),
+            "faults": to_plain(known.faults),
         },
         "now": _moment(memory_of(decider, given), standing.past, given),
     }
@@ -131,6 +134,8 @@ def _restored(
     _check_state(state, scenario, options)
     if state["version"] == 3:
         state = _from_version_3(state)
+    if "faults" not in state["known"]:
+        state = _without_faults(state, scenario.network)
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -180,7 +185,7 @@ def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
-    if state.get("version") not in (3, VERSION):
+    if state.get("version") not in (3, 4, VERSION):
         raise _refused(
             f"has another layout than this version's, {VERSION}",
             "Go on with the version that wrote it, or begin without a state.",
@@ -230,6 +235,27 @@ def _from_version_3(state: dict[str, Any]) -> dict[str, Any]:
     return {**state, "now": moment(state["now"]), "before": then}
 
 
+def _without_faults(state: dict[str, Any], network: Network) -> dict[str, Any]:
+    """A state of version 4 or before, in which no line was out."""
+
+    def whole(value: Any) -> Any:
+        if isinstance(value, list):
+            return [whole(each) for each in value]
+        if not isinstance(value, dict):
+            return value
+        found = {name: whole(each) for name, each in value.items()}
+        if "p_flow_kw" in found and "q_injection_kvar" in found:  # an operating point
+            found["lines_out"] = [False] * network.n_lines
+        if "temperature_c" in found and "grid_limit_kw" in found:  # a forecast
+            n_steps = len(found["temperature_c"])
+            out = {"lines": network.n_lines, "buses": network.n_buses}
+            found["out"] = {name: [[False] * n] * n_steps for name, n in out.items()}
+        return found
+
+    known = {**state["known"], "faults": []}
+    return {**state, **{name: whole(state[name]) for name in ("now", "before")}, "known": known}
+
+
 def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
     """The steps that were known."""
     n_steps = from_plain(int, plain["n_steps"], f"{WHERE}.known.n_steps")
@@ -242,7 +268,11 @@ def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
     grid = replace(scenario.grid, start=pd.Timestamp(plain["start"]), n_steps=n_steps)
     kind, where = tuple[OutageWarning, ...], f"{WHERE}.known.warnings"
     warnings = from_plain(kind, plain["warnings"], where)
-    return replace(scenario, grid=grid, warnings=warnings, **series)
+    faults = tuple(
+        LineFault(pd.Timestamp(one.pop("start")), pd.Timestamp(one.pop("end")), **one)
+        for one in [dict(each) for each in plain["faults"]]
+    )
+    return replace(scenario, grid=grid, warnings=warnings, faults=faults, **series)
 
 
 def _text(body: dict[str, Any]) -> str:

@@ -15,11 +15,11 @@ from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
 from vppres.kinds.export.physics import Export
-from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
-from vppres.model.sections import Sections, at_items, sections_of
+from vppres.model.parts import Parts, at_items, parts_of
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
 from vppres.scenario.network import Network
@@ -175,8 +175,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
-    sections : Sections, optional
-        Parts into which lines that are out cut the feeder; None where none is out.
+    parts : Parts
+        Parts into which lines that are out cut the feeder.
     unspent : Unspent, optional
         What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     ahead : KindsAhead, optional
@@ -205,7 +205,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
-    sections: Sections | None = None
+    parts: Parts = field(kw_only=True)
     unspent: Unspent | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
@@ -217,12 +217,10 @@ class WindowData:
         point = observation.operating_point
         offset = np.tile(delta_offset(site.network, point, centre), (n_steps, 1))
         island = forecast.grid_limit_kw <= 0.0
-        sections = None
-        if forecast.out is not None:
-            sections = sections_of(site, forecast.out, observation.soc, island, False)
-        if point is not None and point.lines_out is not None:
+        parts = parts_of(site, forecast.out, observation.soc, island, False)
+        if point is not None:
             # Across a line that was out there is no drop of a line.
-            back = point.lines_out & ~(np.zeros(1, bool) if sections is None else sections.lines)
+            back = point.lines_out & ~parts.lines
             offset = np.where(back | np.isnan(offset), 0.0, offset)
         stores = len(site.batteries) > 0
         rules = observation.rules
@@ -242,7 +240,7 @@ class WindowData:
                 site.network,
                 None if point is None else point.v_pu,
                 island,
-                None if sections is None else sections.part,
+                parts.of_bus,
             ),
             on_before=observation.served,
             open_ended=observation.open_ended,
@@ -251,20 +249,21 @@ class WindowData:
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
             ahead=observation.ahead.part(slice(n_steps)),
+            parts=parts,
         )
-        return found if sections is None else found.in_parts(site, sections)
+        return found.in_parts(site, parts)
 
-    def in_parts(self, site: Site, sections: Sections) -> WindowData:
+    def in_parts(self, site: Site, parts: Parts) -> WindowData:
         """The window in a feeder that is cut into parts, with nothing in dead ones."""
         places = {kind: site.unit_bus[kind] for kind in self.ahead.by_kind}
-        lit = {kind: ~at_items(sections.dead, place) for kind, place in places.items()}
-        off = at_items(sections.dead, site.customer_bus)
+        lit = {kind: ~at_items(parts.dead, place) for kind, place in places.items()}
+        off = at_items(parts.dead, site.customer_bus)
         return replace(
             self,
-            sections=sections,
+            parts=parts,
             ahead=self.ahead.in_dead_parts(lit),
             switching=self.switching and self.switching.in_the_dark(off),
-            drawn=self.drawn and self.drawn.at(~sections.dead),
+            drawn=self.drawn and self.drawn.at(~parts.dead),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -349,7 +348,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
-            sections=self.sections and self.sections.steps(steps),
+            parts=self.parts.steps(steps),
             unspent=self.unspent and self.unspent.part(steps),
             ahead=self.ahead.part(steps),
         )
@@ -389,9 +388,7 @@ class WindowData:
 
     def soc_path(self, site: Site, charge_kw: Floats, discharge_kw: Floats) -> Floats:
         """State of charge before every step and after the last, limits left out, (W + 1, B)."""
-        stored_kw = cell_kw(charge_kw, discharge_kw, self.eta_charge, self.eta_discharge)
-        total_kw = np.cumsum(stored_kw, axis=0)
-        return np.vstack([self.soc, soc_after(self.soc, total_kw, site.batteries, site.dt_h)])
+        return BatteriesAhead.of(site.batteries, self, site.dt_h).path(charge_kw, discharge_kw)
 
     def kept_range(self, site: Site) -> tuple[float, float]:
         """Least and most that the energy at the end can be worth, in weighted customer hours."""
@@ -479,24 +476,18 @@ class WindowData:
 
     @property
     def in_island(self) -> Flags:
-        """Buses of islands, (W, N), or steps in which all are, (W, 1)."""
+        """Buses of islands, (W, N)."""
         return ~self.with_grid
 
     @property
     def lines_in_island(self) -> Flags:
-        """Lines of islands, (W, L), or steps in which all are, (W, 1)."""
-        return self.in_island if self.sections is None else self.in_island[:, 1:]
-
-    @property
-    def drawing_islands(self) -> Flags:
-        """Steps, (W,), or buses, (W, N), without the shunts that islands have not."""
-        return self.dark if self.sections is None else self.in_island
+        """Lines of islands, (W, L)."""
+        return self.in_island[:, 1:]
 
     @property
     def with_grid(self) -> Flags:
-        """Buses that the grid reaches, (W, N), or steps in which it reaches all, (W, 1)."""
-        connected = ~self.dark[:, None]
-        return connected if self.sections is None else connected & ~self.sections.beyond
+        """Buses that the grid reaches, (W, N)."""
+        return ~self.dark[:, None] & ~self.parts.beyond
 
     @property
     def both_ways_earn(self) -> bool:

@@ -1,4 +1,4 @@
-"""The paper's formulas on arrays: battery, injections, flows and voltage drop, one function each.
+"""The paper's formulas on arrays: injections, flows and voltage drop, one function each.
 
 Controllers, their checks and the limits of the network use these. The same formulas stand in
 :mod:`vppres.model.constraints` for cvxpy; the plant has its own on purpose, so that it can find
@@ -13,7 +13,6 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.site import Site
-from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
 
 # PV systems.
@@ -37,53 +36,6 @@ def curtailed_kw(site: Site, wanted_kw: Floats, pv_kw: Floats, demand_kw: Floats
     own = np.minimum(site.behind_meter(demand_kw), usable)
     forced = pv_kw - usable
     return np.asarray(np.clip(wanted_kw, forced, forced + usable - own))
-
-
-# Batteries.
-
-
-def cell_kw(
-    charge_kw: Floats, discharge_kw: Floats, eta_charge: Floats, eta_discharge: Floats
-) -> Floats:
-    """Power that reaches the cells (2): what is charged less its losses, less what is drawn.
-
-    >>> cell_kw(np.array([10.0, 0.0]), np.array([0.0, 9.0]), np.full(2, 0.9), np.full(2, 0.9))
-    array([  9., -10.])
-    """
-    return np.asarray(eta_charge * charge_kw - discharge_kw / eta_discharge)
-
-
-def soc_after(soc: Floats, kw: Floats, batteries: Batteries, hours: float) -> Floats:
-    """State of charge after a power at the cells (2), limits left out.
-
-    Parameters
-    ----------
-    soc : array, shape (B,)
-        Before.
-    kw : array, shape (B,) or (W, B)
-        Power at the cells; with rows of cumulated power, the state after each row.
-    batteries : Batteries
-        Their capacities.
-    hours : float
-        How long.
-    """
-    return np.asarray(soc + kw * hours / batteries.energy_kwh)
-
-
-def charge_to_kw(
-    level: Floats, soc: Floats, eta_charge: Floats, batteries: Batteries, hours: float
-) -> Floats:
-    """Charging power that reaches a state of charge in time, 0 where it is already there, (B,)."""
-    missing_kwh = np.maximum(level - soc, 0.0) * batteries.energy_kwh
-    return np.asarray(missing_kwh / (eta_charge * hours))
-
-
-def discharge_to_kw(
-    level: Floats, soc: Floats, eta_discharge: Floats, batteries: Batteries, hours: float
-) -> Floats:
-    """Discharging power that reaches a state of charge in time, 0 where it is below, (B,)."""
-    held_kwh = np.maximum(soc - level, 0.0) * batteries.energy_kwh
-    return np.asarray(held_kwh * eta_discharge / hours)
 
 
 # Network.

@@ -83,9 +83,7 @@ class Drawn:
         return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
 
 
-def drawn_by(
-    network: Network, v_pu: Floats | None, island: Flags, part: Wholes | None = None
-) -> Drawn | None:
+def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Wholes) -> Drawn | None:
     """Power that a network draws in the steps of a window, None if it never draws anything.
 
     An island of the paper's mode is lossless: as with losses, the slack bus supplies what the
@@ -100,14 +98,15 @@ def drawn_by(
         Voltages of the last AC point; without one those at no load.
     island : array of bool, shape (W,)
         Steps without grid.
-    part : array of int, shape (W, N), optional
-        Number of the part of each bus, which is its first bus; one part if not given.
+    of_bus : array of int, shape (W, N)
+        Number of the part of each bus, which is its first bus.
 
     Examples
     --------
     >>> net = Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=11.0, drawing_bus=[2],
     ...               q_shunt_kvar=[-100.0])
-    >>> drawn_by(net, np.array([1.0, 0.9]), np.array([False, True])).kvar.round(3).tolist()
+    >>> one = np.zeros((2, 2), dtype=int)
+    >>> drawn_by(net, np.array([1.0, 0.9]), np.array([False, True]), one).kvar.round(3).tolist()
     [[0.0, -81.0], [81.0, -81.0]]
     """
     if not network.draws:
@@ -115,29 +114,17 @@ def drawn_by(
     at_no_load = network.v_slack_pu * network.bus_ratio
     if v_pu is not None:
         at_no_load = np.where(np.isnan(v_pu), at_no_load, v_pu)
-    found = drawn_at(network, np.tile(at_no_load, (len(island), 1)), island)
+    v_pu = np.tile(at_no_load, (len(island), 1))
+    alone = island[:, None] | (of_bus != 0)
+    found = drawn_at(network, v_pu, alone)
     for values in (found.kw, found.kvar):
-        if part is None:
-            values[island, 0] -= values[island].sum(axis=1)
-            continue
-        for t, numbers in enumerate(part):
-            sums = np.bincount(numbers, values[t], network.n_buses)
-            sums[0] *= island[t]
-            values[t] -= sums
+        for t, numbers in enumerate(of_bus):
+            for first in np.unique(numbers[alone[t]]):
+                values[t, first] -= values[t, numbers == first].sum()
     return found
 
 
 def drawn_at(network: Network, v_pu: Floats, island: Flags) -> Drawn:
-    """Power that a network draws at each step's voltages, (W, N), with grid and in an island.
-
-    ``island`` has steps, (W,), or the buses of each, (W, N).
-    """
-    kw, kvar = network.drawn(v_pu)
-    if network.islanded is not network and island.ndim == 2:
-        kw, kvar = (
-            np.where(island, *pair)
-            for pair in zip(network.islanded.drawn(v_pu), (kw, kvar), strict=True)
-        )
-    elif network.islanded is not network:
-        kw[island], kvar[island] = network.islanded.drawn(v_pu[island])
-    return Drawn(kw, kvar)
+    """Power that a network draws at each step's voltages, with grid and in islands, (W, N) each."""
+    with_grid, alone = network.drawn(v_pu), network.islanded.drawn(v_pu)
+    return Drawn(*(np.where(island, *pair) for pair in zip(alone, with_grid, strict=True)))

@@ -17,7 +17,7 @@ from vppres.model.beyond_paper.losses import ACPoints, Sweeps
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
-from vppres.model.sections import at_items
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 
 GIVEN = (0.25, 0.0625, 0.0)
@@ -124,8 +124,8 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Fl
     taken = taken_by_network(site, data)
     p_kw -= taken.kw
     q_kvar -= taken.kvar
-    if data.sections is not None:  # what is behind a line that is out has its own balance
-        p_kw, q_kvar = (np.where(data.sections.beyond, 0.0, each) for each in (p_kw, q_kvar))
+    # What is behind a line that is out has its own balance.
+    p_kw, q_kvar = (np.where(data.parts.beyond, 0.0, each) for each in (p_kw, q_kvar))
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
@@ -136,8 +136,7 @@ def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
     """Squared referred voltages without control, (W, N), and PV power then, (W, P)."""
     net = site.network
     u, imported_kw, own_kw, spare_kw = _from_grid(site, data)
-    if data.sections is not None:
-        spare_kw = np.where(at_items(data.sections.beyond, site.pv_bus), 0.0, spare_kw)
+    spare_kw = np.where(at_items(data.parts.beyond, site.pv_bus), 0.0, spare_kw)
     exported = bus_injections(site, {"pv": spare_kw})
     flows = lossless_flows(net, exported)
     raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream

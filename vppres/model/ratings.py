@@ -17,6 +17,10 @@ from vppres.model.site import Site
 KEPT_SHARE = 1e-3
 """Share of a rating that plans leave free: what passes that agree may still be off by."""
 
+GIVEN = (0.0, 0.0625, 0.25, 0.5, 0.75)
+"""Shares by which ratings give way to a dispatch, of what it has beyond them: the first that leaves
+an answer holds, and the dispatch itself where none does."""
+
 MOVED_SHARE = 0.05
 """Share of a rating by which losses and voltages of another pass may move a flow that kept it."""
 

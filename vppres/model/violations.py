@@ -13,13 +13,14 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
+from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.model.parts import at_items
 from vppres.model.phases import phased_model
-from vppres.model.sections import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
 
@@ -95,18 +96,11 @@ def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
     physics = data.physics
     kept_kw = 0.0 if physics is None else physics.headroom_kw
     room_kw = b.p_max_kw if physics is None else data.active_max_kw(b)
-    both_kw = np.minimum(d.charge_kw, d.discharge_kw)
-    apparent_kva = np.hypot(net_kw, d.batt_q_kvar)
+    beyond = power_beyond_kw(b, d.charge_kw, d.discharge_kw, d.batt_q_kvar)
     return {
-        "battery power": _most(
-            tolerance,
-            -d.charge_kw,
-            -d.discharge_kw,
-            d.charge_kw - b.p_max_kw,
-            d.discharge_kw - b.p_max_kw,
-        ),
-        "battery modes": _most(tolerance, both_kw),
-        "battery inverter": _most(tolerance, apparent_kva + kept_kw - b.s_max_kva),
+        "battery power": _most(tolerance, beyond["power"]),
+        "battery modes": _most(tolerance, beyond["modes"]),
+        "battery inverter": _most(tolerance, beyond["inverter"] + kept_kw),
         "battery headroom": _most(tolerance, np.abs(net_kw) - room_kw),
     }
 
@@ -238,12 +232,12 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Flows over lines that are out, and what dead parts serve, give or take."""
-    sections = data.sections
-    if sections is None:
+    parts = data.parts
+    if parts.whole:
         return {}
     tolerance = power_tolerance_kw(site, data)
     dead = {
-        name: at_items(sections.dead, place)
+        name: at_items(parts.dead, place)
         for name, place in (
             ("customers", site.customer_bus),
             ("pv", site.pv_bus),
@@ -252,7 +246,7 @@ def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
     }
     flows = np.hypot(d.p_flow_kw, d.q_flow_kvar)
     return {
-        "lines that are out": _most(tolerance, flows[sections.lines]),
+        "lines that are out": _most(tolerance, flows[parts.lines]),
         "dead parts": _most(
             tolerance,
             (d.pv_self_kw + d.pv_export_kw)[dead["pv"]],

@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.physics.admittances import Admittances
 
 MAX_STEPS = 10
 """Steps after which the method has failed; three to five are usual from a flat start."""
@@ -24,16 +23,16 @@ class Newton:
 
     Parameters
     ----------
-    admittances : Admittances
-        The network.
+    y : sparse matrix, shape (N, N)
+        Admittances of the buses for 1 MVA, of which columns are in order in each row.
     reference : int
         Position of the bus with the only source.
     v_source : float
         Its voltage in pu.
     """
 
-    def __init__(self, admittances: Admittances, reference: int, v_source: float) -> None:
-        self.y = admittances.bus
+    def __init__(self, y: sp.csr_matrix, reference: int, v_source: float) -> None:
+        self.y = y
         n = self.y.shape[0]
         self.reference = reference
         self.v_source = v_source

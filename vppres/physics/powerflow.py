@@ -196,7 +196,7 @@ class ACPowerFlow:
         s_mva = _summed(kw_to_mw(p - net.p_fixed_kw)) + 1j * _summed(kw_to_mw(q - net.q_fixed_kvar))
         if reference not in self._newtons:
             v_source = float(net.held_pu[reference] / net.bus_ratio[reference])
-            self._newtons[reference] = Newton(self._admittances, reference, v_source)
+            self._newtons[reference] = Newton(self._admittances.bus, reference, v_source)
         v = self._by_newton(reference, s_mva)
         if v is None:
             return self._followed(p, q, reference)

@@ -54,7 +54,7 @@ class FormingBatteries:
 
     def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
         """A deficit shared in proportion to ratings, and what they cannot take of it."""
-        most_charge, most_discharge = self.plant.battery_limits_kw(self.state)
+        most_charge, most_discharge = self.plant.batteries_ahead(self.state).most_kw()
         disc_kw = np.sqrt(np.maximum(self._b.s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
         lowest = -np.minimum(most_discharge, disc_kw)
         highest = np.minimum(most_charge, disc_kw)

@@ -185,7 +185,7 @@ class IslandPlant:
 
     def _possible_formers(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
         """Devices able to form the grid: batteries first, then one generating set after another."""
-        _, most_discharge = self.plant.battery_limits_kw(state)
+        _, most_discharge = self.plant.batteries_ahead(state).most_kw()
         holds = self.plant.scenario.batteries.holds_energy(state.soc)
         able = self.formers & holds & (most_discharge > BALANCE_TOLERANCE_KW)
         if able.any():
@@ -319,7 +319,7 @@ class IslandPlant:
 
     def _room_kw(self, powers: Powers, state: BatteryState, helpers: Flags, ac: ACResult) -> Floats:
         """Further discharge that batteries can give as a help, (B,)."""
-        _, most_discharge = self.plant.battery_limits_kw(state)
+        _, most_discharge = self.plant.batteries_ahead(state).most_kw()
         s_max_kva = self.plant.scenario.batteries.s_max_kva
         disc_kw = np.sqrt(np.maximum(s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
         room_kw = np.minimum(most_discharge, disc_kw) + np.minimum(powers.battery_kw, 0.0)

@@ -19,7 +19,7 @@ from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, PartOfPlant, Settled
 from vppres.plant.plant import BatteryState, Plant, Realised
-from vppres.scenario.faults import OutOfService, Parts
+from vppres.scenario.faults import OutOfService, behind, parts_by_bus
 from vppres.scenario.formers import formers_within
 from vppres.scenario.network import Network
 
@@ -95,10 +95,10 @@ class PlantInParts:
         online : array of bool, shape (B,)
             Batteries that are able to work.
         """
-        parts = Parts(self.network, out.lines[0])
+        of_bus = parts_by_bus(self.network, out.lines[:1])[0]
         found = [
-            self._settled(t, decision, state, parts, number, out.buses[0], held, online)
-            for number in parts.numbers
+            self._settled(t, decision, state, out, of_bus == number, held, online)
+            for number in np.unique(of_bus)
         ]
         return _joined(found)
 
@@ -107,14 +107,14 @@ class PlantInParts:
         t: int,
         decision: Decision,
         state: BatteryState,
-        parts: Parts,
-        number: int,
-        buses_out: Flags,
+        out: OutOfService,
+        buses: Flags,
         held: bool,
         online: Flags,
     ) -> SettledPart:
-        """One part."""
-        buses, lines = parts.of_bus == number, parts.lines(number)
+        """The part of some buses."""
+        number = int(np.argmax(buses))
+        lines = buses[1:] & ~out.lines[0]
         inside = PartOfPlant.of(self.plant.places, buses)
         own = replace(decision, dispatch=self._of_part(t, decision, inside))
         if number == 0 and not held:
@@ -122,13 +122,14 @@ class PlantInParts:
             return SettledPart(inside, lines, realise(self.plant, flow, t, own, state))
         flow = self._flow(buses, lines, island=True)
         planned = self.plant.apply(t, own, state)
-        bus_out = self.network.buses[buses & buses_out]
+        bus_out = self.network.buses[buses & out.buses[0]]
         if len(bus_out):
             done = IslandPlant(self.plant, flow, inside).dark(
                 t, planned, state, f"bus {bus_out[0]} is out"
             )
             return SettledPart(inside, lines, done)
-        where = f"behind {parts.behind(number)}, which is out" if number else "at the grid's bus"
+        line = behind(self.network, number)
+        where = f"behind {line}, which is out" if number else "at the grid's bus"
         island = IslandPlant(self.plant, flow, inside, where)
         island.formers = formers_within(self.plant.scenario, inside.batteries) & online
         return SettledPart(inside, lines, island.settle(t, planned, state))

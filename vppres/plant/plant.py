@@ -14,6 +14,7 @@ import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.kind import Followers
@@ -155,6 +156,11 @@ class Plant:
         for kind, state in states.items():
             self.units[kind].state = state
 
+    def go_on_from(self, other: Plant) -> None:
+        """Begin a step in the state of another plant with the same devices."""
+        self.switching, self.owed = other.switching, other.owed
+        self.begin_with({kind: units.state for kind, units in other.units.items()})
+
     def initial_state(self) -> BatteryState:
         """State before the first step."""
         b = self.scenario.batteries
@@ -238,7 +244,6 @@ class Plant:
         load_kw = self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)
         discharge = np.maximum(-powers.battery_kw, 0.0)
-        stored = state.eta_charge * charge - discharge / state.eta_discharge
         p, q = self._injections(
             load_kw * powers.served * powers.share,
             powers.pv_self_kw,
@@ -252,9 +257,8 @@ class Plant:
         np.add.at(q, self.places.batteries, powers.batt_q_kvar)
         if powers.forming is not None:
             q[self.places.units["gensets"][powers.forming.genset]] += powers.forming.q_kvar
-        soc_end = np.clip(
-            state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min, b.soc_max
-        )
+        soc = self.batteries_ahead(state).after(powers.battery_kw)
+        soc_end = np.clip(soc, b.soc_min, b.soc_max)
         return Realised(
             powers.served,
             powers.pv_self_kw,
@@ -303,21 +307,13 @@ class Plant:
         self, charge_kw: Floats, discharge_kw: Floats, state: BatteryState
     ) -> tuple[Floats, Floats]:
         """Set-points as far as power rating and state of charge allow."""
-        most_charge, most_discharge = self.battery_limits_kw(state)
+        most_charge, most_discharge = self.batteries_ahead(state).most_kw()
         net = charge_kw - discharge_kw
         return np.clip(net, 0.0, most_charge), np.clip(-net, 0.0, most_discharge)
 
-    def battery_limits_kw(self, state: BatteryState) -> tuple[Floats, Floats]:
-        """Largest charge and discharge over one step, by rating and state of charge, (B,) each."""
-        b = self.scenario.batteries
-        dt_h = self.scenario.grid.dt_h
-        room_kwh = np.maximum(b.soc_max - state.soc, 0.0) * b.energy_kwh
-        held_kwh = np.maximum(state.soc - b.soc_min, 0.0) * b.energy_kwh
-        rating = np.minimum(b.p_max_kw, b.s_max_kva)
-        return (
-            np.minimum(rating, room_kwh / (state.eta_charge * dt_h)),
-            np.minimum(rating, held_kwh * state.eta_discharge / dt_h),
-        )
+    def batteries_ahead(self, state: BatteryState) -> BatteriesAhead:
+        """The batteries from a state on."""
+        return BatteriesAhead.of(self.scenario.batteries, state, self.scenario.grid.dt_h)
 
     def _injections(
         self, demand_kw: Floats, own: Floats, export: Floats, battery_kw: Floats

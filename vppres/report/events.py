@@ -12,7 +12,7 @@ import numpy as np
 from vppres.core.text import counted, named
 from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import LINES_OUT, Trajectory
+from vppres.day.trajectory import LINES_OUT, SWITCHED, SWITCHING_WHY, Trajectory
 from vppres.kinds.customer import record as customer
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
@@ -31,11 +31,12 @@ class DayEvent:
 
 
 def events_of(run: Trajectory) -> list[DayEvent]:
-    """Outages, customers off, restored and dimmed, batteries, missed needs and comfort, sets."""
+    """Outages, faults and operations, what befalls customers, batteries, machines and sets."""
     found = sorted(
         [
             *_outage_events(run),
             *_fault_events(run),
+            *_switching_events(run),
             *_service_events(run),
             *_within_events(run),
             *customer.events(run),
@@ -80,6 +81,16 @@ def _fault_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         ):
             if names and t < len(out):
                 yield t, f"{named(names, NAMES_SHOWN).capitalize()} {words}."
+
+
+def _switching_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Operations of switches, and what they are good for."""
+    if SWITCHED not in run.steps:
+        return
+    rows = zip(run.steps[SWITCHED], run.steps[SWITCHING_WHY], strict=True)
+    for t, (moved, why) in enumerate(rows):
+        if moved:
+            yield t, f"{moved[:1].upper()}{moved[1:]}: {why}."
 
 
 def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:

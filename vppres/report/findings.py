@@ -19,6 +19,7 @@ from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 from vppres.report.clock import Clock
+from vppres.scenario.configuration import Branches
 from vppres.scenario.remarks import darkness, unknown_phases
 
 LIMIT_TOLERANCE_PU = 1e-6
@@ -82,10 +83,10 @@ def _loadings(run: Trajectory) -> Iterator[str]:
     loading = np.nan_to_num(line_loading(run))
     if (loading > 1.0).any():
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
-        net = run.scenario.network
+        lines = Branches(run.scenario)
         yield (
             f"Lines above their rating in {counted(int((loading > 1).any(axis=1).sum()), 'step')}: "
-            f"at most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
+            f"at most {loading.max():.0%}, line {lines.from_bus[line]} to {lines.to_bus[line]}, "
             f"{_time(run, run.steps['time'].iloc[int(t)])}."
         )
 

@@ -21,6 +21,7 @@ from vppres.kinds.table import KINDS, parts
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
+from vppres.scenario.configuration import Branches
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
@@ -221,8 +222,8 @@ def _node_words(row: pd.Series[Any]) -> str:
 
 
 def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
-    net = run.scenario.network
-    rated = net.has_ratings
+    lines = Branches(run.scenario)
+    rated = run.scenario.network.has_ratings
     values = np.nan_to_num(line_loading(run) if rated else line_current_a(run))
     if not values.size:
         return
@@ -231,9 +232,9 @@ def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
     yield LimitRow(
         "Largest line loading" if rated else "Largest line current",
         f"{largest:.0%}" if rated else f"{largest:,.1f} A",
-        f"{net.from_bus[line]} to {net.to_bus[line]}, "
+        f"{lines.from_bus[line]} to {lines.to_bus[line]}, "
         f"{Clock.of(run).words(run.steps['time'].iloc[int(t)])}",
-        f"{net.i_max_a[line]:,.0f} A" if rated else "no line has a rating",
+        f"{lines.rating_a[line]:,.0f} A" if rated else "no line has a rating",
         rated and largest > 1.0,
     )
 

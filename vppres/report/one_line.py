@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
-from vppres.day.trajectory import Trajectory, supplied
+from vppres.day.trajectory import LINES_OUT, Trajectory, supplied
 from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
 from vppres.report.plots.drawing import CIVIDIS, coloured, shortened
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import PHASES
+from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
 MARGIN_PX, TOP_PX, GRID_PX = 24, 20, 42
@@ -37,6 +38,7 @@ LETTER_PX, MOST_LETTERS, LEAN = 6.2, 26, 0.5
 MAX_VOLTAGE_CLASSES = 8
 CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 OUT_OF_LIMITS = 9  # the class of voltages outside the AC limits
+OUT_OF_SERVICE = 9  # the class of lines that a fault takes out
 LOADING_EDGES = (0.2, 0.4, 0.6, 0.8, 1.0)
 SERVED = 0
 PARTLY = 1
@@ -76,6 +78,15 @@ class SwitchMark:
 
 
 @dataclass(frozen=True)
+class FaultMark:
+    """A line or bus with a fault in the drawing: what and when in words, and where."""
+
+    words: str
+    x: int
+    y: int
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Everything that no step changes; names lean where they would reach the next one."""
 
@@ -84,6 +95,7 @@ class Drawing:
     buses: tuple[BusMark, ...]
     lines: tuple[tuple[int, int, int, int], ...]
     switches: tuple[SwitchMark, ...]
+    faults: tuple[FaultMark, ...]
     leaning: bool
 
 
@@ -130,10 +142,26 @@ def drawing(run: Trajectory) -> Drawing:
         SwitchMark(words, closed, (int(x[a]), int(y[a]), int(x[b]), int(y[b])))
         for words, closed, a, b in _told_switches(day.switches, net.bus_index)
     )
+    # On the last piece of a line, which no other line has.
+    faults = tuple(
+        FaultMark(words, int(x[at] if of_bus else (x[net.parent[at - 1]] + x[at]) / 2), int(y[at]))
+        for words, at, of_bus in _told_faults(day, Clock.of(run))
+    )
     beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
     width = int(x.max() + beside + MARGIN_PX)
     height = int(MARGIN_PX + row_px.sum())
-    return Drawing(width, height, buses, lines, switches, leaning)
+    return Drawing(width, height, buses, lines, switches, faults, leaning)
+
+
+def _told_faults(day: Scenario, clock: Clock) -> Iterator[tuple[str, int, bool]]:
+    """Each line or bus with faults, and when, in words; its bus, and whether that is out itself."""
+    spans: dict[tuple[int, bool], list[str]] = {}
+    for fault in sorted(day.faults, key=lambda fault: fault.start):
+        place = fault.at(day.network), fault.line is None
+        span = f"from {clock.words(fault.start)} to {clock.words(fault.end)}"
+        spans.setdefault(place, [fault.name(day.network)]).append(span)
+    for place, (name, *times) in spans.items():
+        yield f"{name} out of service {' and '.join(times)}", *place
 
 
 def _told_switches(
@@ -201,18 +229,21 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     served = run.by_step("customers", "served")
     soc = run.by_step("batteries", "soc_end")
     clock = Clock.of(run)
+    at = run.scenario.network.place(run.scenario.customers.bus)
+    total = np.asarray(at.sum(axis=1)).ravel()
+    got = (at @ served.T.astype(float)).T
     return {
         "start": worst_step(run),
         "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
         "bus": _digits(voltage_classes(run, v)),
-        "tile": _digits(_tile_classes(run, served)),
+        "tile": _digits(np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))),
         "line": _digits(loading_classes(run)),
         "served": _digits(served.astype(int)),
         "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
-        "amps": line_current_a(run).round(1).tolist(),
+        "amps": line_current_a(run)[:, : run.scenario.network.n_lines].round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
@@ -220,7 +251,10 @@ def step_states(run: Trajectory) -> dict[str, Any]:
 def loading_classes(run: Trajectory) -> Wholes:
     """Class of each line's loading, shape (T, L): the number of edges that it has reached.
 
-    Without any ratings the current is taken as a share of the largest of the run.
+    Ties are not drawn.
+
+    Without any ratings the current is taken as a share of the largest of the run. Lines that are
+    out of service have a class of their own.
     """
     if run.scenario.network.has_ratings:
         loading = np.nan_to_num(line_loading(run))
@@ -228,7 +262,10 @@ def loading_classes(run: Trajectory) -> Wholes:
         current = line_current_a(run)
         # The largest current itself stays below the class of overloads.
         loading = 0.999 * current / max(float(current.max()), 1e-9)
-    return np.digitize(loading, LOADING_EDGES)
+    day = run.scenario
+    out = day.out_of_service(range(day.grid.n_steps)).lines
+    classes = np.digitize(loading[:, : day.network.n_lines], LOADING_EDGES)
+    return np.where(out, OUT_OF_SERVICE, classes)
 
 
 def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
@@ -240,14 +277,6 @@ def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
     return np.where(inside, classes, OUT_OF_LIMITS)
 
 
-def _tile_classes(run: Trajectory, served: Flags) -> Wholes:
-    """Whether all, some or none of a bus's customers are served, shape (T, N)."""
-    at = run.scenario.network.place(run.scenario.customers.bus)
-    total = np.asarray(at.sum(axis=1)).ravel()
-    got = (at @ served.T.astype(float)).T
-    return np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))
-
-
 def _info(run: Trajectory) -> list[str]:
     """Line of text for each step."""
     shares = service_by_tier(run)
@@ -257,7 +286,8 @@ def _info(run: Trajectory) -> list[str]:
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         v_pu = step["v_min_ac_pu"]
         voltage = f"lowest voltage {v_pu:.4f} pu" if v_pu > 0 else "no voltage"
-        lines.append(f"{grid}; supplied: {tiers}; {voltage}{_phases(run, step)}")
+        out = f"; out of service: {step[LINES_OUT]}" if step.get(LINES_OUT) else ""
+        lines.append(f"{grid}; supplied: {tiers}; {voltage}{_phases(run, step)}{out}")
     return lines
 
 

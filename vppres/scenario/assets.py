@@ -7,6 +7,7 @@ Absent assets are tables of length 0. The attributes' units, bounds and defaults
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -160,23 +161,30 @@ class Customers(Items):
         return float(found[np.argmax(count)]) if len(found) else TIER_WEIGHTS.get(tier, 1.0)
 
 
-def without_customer(owners: Names) -> Flags:
-    """Which assets stand alone: those whose owner is an empty text.
+class Owned(Items):
+    """Assets behind the switch of a ``customer``, or without one (empty text) at their ``bus``."""
 
-    >>> without_customer(["a", ""])
-    array([False,  True])
-    """
-    return np.array([owner == "" for owner in owners], dtype=bool)
+    customer: Names
+    bus: Any = None
 
+    @property
+    def alone(self) -> Flags:
+        """Assets without a customer, (n,)."""
+        return np.array([owner == "" for owner in self.customer], dtype=bool)
 
-def positions_of(owners: Names, customers: Customers) -> Wholes:
-    """Position of each asset's owner in the customers' table; 0 for one that stands alone.
+    def owner(self, customers: Customers) -> Wholes:
+        """Position of each asset's customer, (n,); 0 for one that stands alone (:attr:`alone`)."""
+        position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
+        return np.array([position[owner] for owner in self.customer], dtype=int)
 
-    >>> positions_of(["b", ""], Customers(["a", "b"], [1, 1], ["x", "x"], [1, 1], [1, 1]))
-    array([1, 0])
-    """
-    position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
-    return np.array([position[owner] for owner in owners], dtype=int)
+    def buses(self, customers: Customers) -> Names:
+        """Bus of each, (n,): its own or its customer's."""
+        owners = customers.bus[self.owner(customers)]
+        return np.where(self.alone, self.bus, owners).astype(object)
+
+    def connected(self, customers: Customers, served: Flags) -> Flags:
+        """Assets that stand alone or whose customer is served, (..., n) for (..., C)."""
+        return self.alone | served[..., self.owner(customers)]
 
 
 PV = "pv"
@@ -193,7 +201,7 @@ def kind_label(kind: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class PVSystems(Items):
+class PVSystems(Owned):
     """PV systems and other generators with a series of available power, shape (P,) each.
 
     ``customer`` is the owner's identifier. A system that stands alone has none (empty text) and
@@ -213,23 +221,6 @@ class PVSystems(Items):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(self.id), value, dtype=object))
         super().__post_init__()
-
-    @property
-    def alone(self) -> Flags:
-        """Systems without a customer, (P,): all of their power is exported or curtailed."""
-        return without_customer(self.customer)
-
-    def owner(self, customers: Customers) -> Wholes:
-        """Position of each system's owner in the customers' table; 0 for one that stands alone.
-
-        A caller that reads values of the customers with it asks :attr:`alone` too.
-        """
-        return positions_of(self.customer, customers)
-
-    def buses(self, customers: Customers) -> Names:
-        """Bus of each system, (P,): its own or its owner's."""
-        owners = customers.bus[self.owner(customers)]
-        return np.where(self.alone, self.bus, owners).astype(object)
 
     @property
     def word(self) -> str:

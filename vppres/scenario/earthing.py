@@ -57,7 +57,16 @@ def unearthed(phases: Phases, bus: str, to_ground: bool) -> set[str]:
     >>> behind("ab bc ca"), behind("a b c")
     ({'y'}, set())
     """
-    rows = [*_of_source(phases, bus, to_ground), *_of_lines(phases), *_of_transformers(phases)]
+    found = []
+    for unit in phases.transformers:
+        first = phases.by_bus[unit.from_bus], unit.from_kv * unit.from_tap, unit.from_coils
+        second = phases.by_bus[unit.to_bus], unit.to_kv * unit.to_tap, unit.to_coils
+        pairs = zip(coils_of(first[2]), coils_of(second[2]), strict=True)
+        found += [
+            [*_across(phases, *first[:2], own, 1.0), *_across(phases, *second[:2], other, -1.0)]
+            for own, other in pairs
+        ]
+    rows = [*_of_source(phases, bus, to_ground), *_of_lines(phases), *found]
     count = len(phases.nodes)
     numbers = [i for i, row in enumerate(rows) for _ in row]
     columns = [column for row in rows for column, _ in row]
@@ -87,20 +96,6 @@ def _of_lines(phases: Phases) -> list[Row]:
         for line in phases.lines
         for phase in line.phases
     ]
-
-
-def _of_transformers(phases: Phases) -> list[Row]:
-    """No current in any pair of coils."""
-    found = []
-    for unit in phases.transformers:
-        first = phases.by_bus[unit.from_bus], unit.from_kv * unit.from_tap, unit.from_coils
-        second = phases.by_bus[unit.to_bus], unit.to_kv * unit.to_tap, unit.to_coils
-        pairs = zip(coils_of(first[2]), coils_of(second[2]), strict=True)
-        found += [
-            [*_across(phases, *first[:2], own, 1.0), *_across(phases, *second[:2], other, -1.0)]
-            for own, other in pairs
-        ]
-    return found
 
 
 def _across(phases: Phases, row: PhaseBus, kv: float, coil: Coil, sign: float) -> Row:

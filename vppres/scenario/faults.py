@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Wholes
+from vppres.core.arrays import Flags, Wholes, freeze_arrays
 from vppres.core.errors import InputError, Problem
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.timegrid import TimeGrid
 
 
 @dataclass(frozen=True)
-class Fault:
+class LineFault:
     """A line or a bus that is out of service, ``end`` not included.
 
     Parameters
@@ -52,6 +51,12 @@ class Fault:
         assert bus is not None  # a scenario has no other faults
         return network.bus_index[bus]
 
+    def lines(self, network: Network) -> Flags:
+        """Lines that it takes out of service, (L,)."""
+        at = self.at(network)
+        leaving = (network.parent == at) & (self.line is None)
+        return np.asarray((np.arange(network.n_lines) == at - 1) | leaving)
+
     def name(self, network: Network) -> str:
         """The line, or the bus, in words."""
         if self.line is None:
@@ -68,7 +73,7 @@ def line_name(network: Network, line: int) -> str:
     return f"line {network.from_bus[line]}-{network.to_bus[line]}"
 
 
-def check_places(faults: Iterable[Fault], network: Network) -> None:
+def check_places(faults: Iterable[LineFault], network: Network) -> None:
     """Refuse faults that name no line and no bus of a network, or both.
 
     Raises
@@ -77,13 +82,17 @@ def check_places(faults: Iterable[Fault], network: Network) -> None:
         With all of them.
     """
     behind_grid = set(network.buses[1:].tolist())
-    cure = "Give the bus that the line feeds, or the bus that is out itself, but not the grid's."
-    problems = [
-        Problem("faults", "is not one bus behind the grid's", cure, row=i, field="line or bus")
-        for i, fault in enumerate(faults)
-        if (fault.line is None) == (fault.bus is None)
-        or (fault.bus if fault.line is None else fault.line) not in behind_grid
-    ]
+    cure = "Give the bus that the line feeds, or the bus that is out itself."
+    problems = []
+    for row, fault in enumerate(faults):
+        given = {name: bus for name in ("line", "bus") if (bus := getattr(fault, name)) is not None}
+        if len(given) != 1:
+            problems.append(Problem("faults", "names not one place", cure, row=row))
+            continue
+        [(field, bus)] = given.items()
+        if bus not in behind_grid:
+            message = "is not a bus behind the grid's"
+            problems.append(Problem("faults", message, cure, row, field, bus))
     if problems:
         raise InputError(problems)
 
@@ -103,18 +112,21 @@ class OutOfService:
     lines: Flags
     buses: Flags
 
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
     @classmethod
     def of(
-        cls, faults: Iterable[Fault], network: Network, grid: TimeGrid, steps: range
-    ) -> OutOfService | None:
-        """Lines and buses that some faults take out in the steps, None where there is none.
+        cls, faults: Iterable[LineFault], network: Network, grid: TimeGrid, steps: range
+    ) -> OutOfService:
+        """Lines and buses that some faults take out in the steps.
 
         Examples
         --------
         >>> net = Network([1, 2], [2, 3], [0.1, 0.1], [0.1, 0.1], slack_bus=1, base_kv=11.0)
         >>> noon = pd.Timestamp("2025-07-01T12:00Z")
         >>> hours = TimeGrid(noon, 60.0, 3)
-        >>> fault = Fault(noon, noon + pd.Timedelta(hours=1), bus=2)
+        >>> fault = LineFault(noon, noon + pd.Timedelta(hours=1), bus=2)
         >>> OutOfService.of([fault], net, hours, range(3)).lines.astype(int).tolist()
         [[1, 1], [0, 0], [0, 0]]
         """
@@ -123,76 +135,59 @@ class OutOfService:
         buses = np.zeros((len(begins), network.n_buses), dtype=bool)
         for fault in faults:
             during = np.asarray((begins < fault.end) & (begins + grid.step > fault.start))
-            at = fault.at(network)
-            lines[during, at - 1] = True
+            lines |= during[:, None] & fault.lines(network)
             if fault.line is None:
-                lines |= during[:, None] & (network.parent == at)
-                buses[during, at] = True
-        return cls(lines, buses) if lines.any() else None
+                buses[during, fault.at(network)] = True
+        return cls(lines, buses)
 
-    def part(self, steps: slice) -> OutOfService | None:
-        """Some of the steps, None where nothing is out in them."""
-        lines = self.lines[steps]
-        return OutOfService(lines, self.buses[steps]) if lines.any() else None
+    def part(self, steps: slice) -> OutOfService:
+        """Some of the steps."""
+        return OutOfService(self.lines[steps], self.buses[steps])
 
-    def name(self, network: Network, step: int) -> str:
-        """Names of lines and buses that are out in a step."""
+    def repaired(self) -> OutOfService:
+        """Steps in which nothing is out, as many as these."""
+        return OutOfService(np.zeros_like(self.lines), np.zeros_like(self.buses))
+
+    def names(self, network: Network, step: int) -> list[str]:
+        """Lines and buses that are out in a step, in words."""
         at = np.flatnonzero(self.buses[step])
         of_buses = np.isin(network.parent, at) | np.isin(np.arange(network.n_lines) + 1, at)
         lines = np.flatnonzero(self.lines[step] & ~of_buses)
         words = [f"bus {network.buses[bus]}" for bus in at]
-        return " and ".join([*words, *(line_name(network, line) for line in lines.tolist())])
+        return [*words, *(line_name(network, line) for line in lines.tolist())]
 
 
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """Parts of a feeder in one step, each behind a line that is out; part 0 has the grid's bus.
+def parts_by_bus(network: Network, lines: Flags) -> Wholes:
+    """Number of the part of each bus in each step, (W, N): the position of its first bus.
+
+    The part with the grid's bus is 0, each other one is behind the line of its first bus.
 
     Parameters
     ----------
     network : Network
         The feeder.
-    out : array of bool, shape (L,)
+    lines : array of bool, shape (W, L)
         Lines that are out.
 
     Examples
     --------
     >>> net = Network([1, 2, 2], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0)
-    >>> Parts(net, np.array([False, False, True])).of_bus.tolist()
-    [0, 0, 0, 3]
+    >>> parts_by_bus(net, np.array([[False, False, True]])).tolist()
+    [[0, 0, 0, 3]]
     """
-
-    network: Network
-    out: Flags
-
-    @cached_property
-    def of_bus(self) -> Wholes:
-        """Number of the part of each bus, (N,): the position of its first bus."""
-        number = np.arange(self.network.n_buses)
-        for line, above in enumerate(self.network.parent):
-            if not self.out[line]:
-                number[line + 1] = number[above]
-        return number
-
-    @property
-    def numbers(self) -> list[int]:
-        """Numbers of the parts, that with the grid's bus first."""
-        return [0, *(np.flatnonzero(self.out) + 1).tolist()]
-
-    def lines(self, part: int) -> Flags:
-        """Lines inside a part, (L,)."""
-        return np.asarray((self.of_bus[1:] == part) & ~self.out)
-
-    def behind(self, part: int) -> str:
-        """The line that is out between a part and the grid, in words."""
-        return line_name(self.network, part - 1)
+    number = np.tile(np.arange(network.n_buses), (len(lines), 1))
+    for line, above in enumerate(network.parent):
+        number[:, line + 1] = np.where(lines[:, line], line + 1, number[:, above])
+    return number
 
 
-def parts_by_bus(network: Network, out: OutOfService) -> Wholes:
-    """Number of the part of each bus in each step, (W, N)."""
-    return np.array([Parts(network, lines).of_bus for lines in out.lines])
+def behind(network: Network, part: int) -> str:
+    """The line that is out between a part and the grid, in words."""
+    return line_name(network, part - 1)
 
 
-def known_faults(faults: Iterable[Fault], now: pd.Timestamp, step: pd.Timedelta) -> list[Fault]:
+def known_faults(
+    faults: Iterable[LineFault], now: pd.Timestamp, step: pd.Timedelta
+) -> list[LineFault]:
     """Faults that plans of a step know: those known before, and those that have begun."""
     return [fault for fault in faults if fault.known or fault.start < now + step]

@@ -19,7 +19,7 @@ from vppres.kinds.fields import OfKinds
 from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import Fault, OutOfService, check_places, known_faults
+from vppres.scenario.faults import LineFault, OutOfService, check_places, known_faults
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -150,14 +150,14 @@ class Scenario(OfKinds):
         Outages without a warning, for the same runs.
     interruptions : tuple of Interruption
         Outages that were before the first step, and who was off supply in them.
-    faults : tuple of Fault
+    faults : tuple of LineFault
         Lines and buses that are out of service for a time.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
         The three phases of the feeder; without rows, and false, for a balanced one.
     switches : Switches
-        Closed switches on lines of the network, and open ones beside them; no run moves any.
+        Closed switches on lines of the network, and open ones beside them.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
@@ -192,7 +192,7 @@ class Scenario(OfKinds):
     warnings: tuple[OutageWarning, ...] = ()
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
     interruptions: tuple[Interruption, ...] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[LineFault, ...] = ()
     history: History | None = None
     phases: Phases = BALANCED
     switches: Switches = field(default_factory=Switches.none)
@@ -235,13 +235,13 @@ class Scenario(OfKinds):
         """
         return bool((self.export_limit_kw > 0.0).any())
 
-    def out_of_service(self, steps: range, known_at: int | None = None) -> OutOfService | None:
-        """Lines and buses that are out in some steps, None where there is none.
+    def out_of_service(self, steps: range, known_at: int | None = None) -> OutOfService:
+        """Lines and buses that are out in some steps.
 
         ``known_at`` is the step in which it is known, with what is known then; with all if not
         given.
         """
-        faults: Iterable[Fault] = self.faults
+        faults: Iterable[LineFault] = self.faults
         if known_at is not None:
             faults = known_faults(faults, self.grid.times[known_at], self.grid.step)
         return OutOfService.of(faults, self.network, self.grid, steps)

@@ -21,7 +21,7 @@ from vppres.service.clock import written
 from vppres.service.events.announced import believes
 from vppres.service.operation.runner import Runner, Service
 from vppres.service.payloads import ModeRequest
-from vppres.service.plans.document import points_at, refused_of
+from vppres.service.plans.document import DARK, points_at, refused_of
 from vppres.service.replay.export import off_minutes
 from vppres.service.storage.records import Reading, moment
 from vppres.service.telemetry.knowledge import MEAN, Heard, Latest, last_heard
@@ -38,9 +38,6 @@ MOST_HISTORY = 1_000
 
 ROUNDING = 1e-6
 """Minutes that are none."""
-
-DARK = "blacked out: "
-"""How the reason begins of a customer in an island that is blacked out."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -78,6 +75,10 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "v_min_pu": day.network.v_min_ac_pu,
         "v_max_pu": day.network.v_max_ac_pu,
         "phases": _phases_of(runner),
+        "lines": {
+            str(bus): f"{day.network.from_bus[line]}-{bus}"
+            for line, bus in enumerate(day.network.to_bus)
+        },
         "customers": {
             str(name): str(tier)
             for name, tier in zip(day.customers.id, day.customers.tier, strict=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import pandas as pd
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
@@ -91,6 +92,8 @@ Duration = Annotated[
     WithJsonSchema({"type": "string", "pattern": f"^{_DURATION.pattern}$", "examples": ["PT1H"]}),
 ]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Bus = Annotated[Name, BeforeValidator(lambda bus: str(bus) if type(bus) is int else bus)]
+"""A bus of the feeder, by its name or number."""
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Value = Annotated[Any, WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]})]
 """A number or null; anything else is refused by itself, where the quantity is known."""
@@ -114,6 +117,7 @@ OF_SITE = (
     "v_pu",
     "online",
     "grid_on",
+    "closed",
 )
 """Facts of every site."""
 
@@ -145,7 +149,7 @@ class Readings(Body):
 
     ``soc``, ``load_kw``, ``pv_kw``, ``online`` and ``grid_on`` (1 or 0) hold at their time,
     ``battery_kw`` (charging positive) and ``import_kw`` are means from then on. The asset of
-    ``import_kw`` and ``grid_on`` is ``grid``.
+    ``import_kw`` and ``grid_on`` is ``grid``. ``closed`` (1 or 0) is the state of a switch.
 
     Of chargers of vehicles, ``plugged`` (1 or 0), ``ev_soc``, ``energy_needed_kwh`` and
     ``departure``, in seconds since 1970, hold at their time too; of rooms and tanks ``indoor_c``,
@@ -226,6 +230,23 @@ class Outage(Interval):
     """No grid; every step that it touches counts."""
 
     type: Literal["outage"]
+
+
+class Fault(Interval):
+    """A line or a bus that is out of service; every step that it touches counts.
+
+    ``line`` is the bus that the line feeds, ``bus`` one that is out with all of its lines.
+    """
+
+    type: Literal["fault"]
+    line: Bus | None = None
+    bus: Bus | None = None
+
+    @model_validator(mode="after")
+    def _of_one_place(self) -> Fault:
+        if (self.line is None) == (self.bus is None):
+            raise ValueError("names not one place. Give line, the bus that it feeds, or bus")
+        return self
 
 
 class Onset(Body):
@@ -371,7 +392,8 @@ class Alert(Interval):
 
 
 Event = Annotated[
-    Outage | Belief | Restoration | ImportLimit | Prices | Alert, Field(discriminator="type")
+    Outage | Fault | Belief | Restoration | ImportLimit | Prices | Alert,
+    Field(discriminator="type"),
 ]
 
 
@@ -476,6 +498,21 @@ class ModeRequest(Body):
         if (self.mode == "manual") != bool(self.setpoints):
             raise ValueError("and set-points do not belong together. Give set-points for manual")
         return self
+
+
+class SwitchingRequest(Body):
+    """States of switches that are to be reached: closed, or open."""
+
+    closed: dict[Name, Annotated[bool, Field(strict=True)]] = Field(
+        min_length=1, max_length=MOST_SERIES
+    )
+    reason: str = Field("", max_length=200)
+
+
+class ConfirmedOperation(Body):
+    """The switch of the next operation, as its operator confirms it."""
+
+    switch: Name
 
 
 class Remark(Body):

@@ -208,11 +208,14 @@ class Player:
         self._way = Way(play.faults)
         self._told: list[dict[str, Any]] = []
         scenario = world.scenario
-        self._announcements: list[Announcement] = list(
-            warned(scenario)
-            if play.beliefs and scenario.warnings
-            else announcements(scenario, play.notice_h)
-        )
+        self._announcements: list[Announcement] = [
+            *(
+                warned(scenario)
+                if play.beliefs and scenario.warnings
+                else announcements(scenario, play.notice_h)
+            ),
+            *reports(scenario, play.notice_h),
+        ]
 
     def play(self, progress: Progress | None = None) -> Tally:
         """From the scenario's first step to its last."""
@@ -238,7 +241,13 @@ class Player:
         now = self.world.scenario.grid.times[t]
         self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
         if self.how.announced:
-            self._announce(now)
+            due = [one for one in self._announcements if one.time <= now]
+            self._announcements = [one for one in self._announcements if one.time > now]
+            for _, name, body in due:
+                if body:
+                    self.client.wanted("PUT", f"/v1/events/{name}", body)
+                else:
+                    self.client.wanted("DELETE", f"/v1/events/{name}")
         arriving = self._way.arriving(t, self.world.readings(t))
         if arriving:
             answer = self.client.wanted("POST", "/v1/telemetry", {"series": arriving})
@@ -246,16 +255,6 @@ class Player:
         answer = self.client.wanted("POST", "/v1/steps")
         self.tally.heard(answer.body, answer.seconds)
         self._told = self.client.wanted("GET", "/v1/setpoints").body["setpoints"]
-
-    def _announce(self, now: pd.Timestamp) -> None:
-        """Put what is due."""
-        due = [one for one in self._announcements if one.time <= now]
-        self._announcements = [one for one in self._announcements if one.time > now]
-        for _, name, body in due:
-            if body:
-                self.client.wanted("PUT", f"/v1/events/{name}", body)
-            else:
-                self.client.wanted("DELETE", f"/v1/events/{name}")
 
     def _real_s(self, t: int) -> float:
         """When a step begins, in real time since the beginning."""
@@ -393,3 +392,19 @@ def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]
         }
         told = times[start] - pd.Timedelta(hours=notice_h)
         yield Announcement(told, f"outage-{number}", body)
+
+
+def reports(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:
+    """When which fault of a line or bus is reported: as it begins, or before if it is known."""
+    for number, fault in enumerate(scenario.faults, start=1):
+        place = {"bus": fault.bus} if fault.line is None else {"line": fault.line}
+        body = {
+            "type": "fault",
+            "source": "simulation",
+            **{name: str(bus) for name, bus in place.items()},
+            "start": written(fault.start),
+            "end": written(fault.end),
+        }
+        begun = scenario.grid.begun(fault.start)
+        told = begun - pd.Timedelta(hours=notice_h) if fault.known else begun
+        yield Announcement(told, f"fault-{number}", body)

@@ -272,7 +272,7 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
     the page adds, and lines that are out, the dispatch stays as it is then, as it does at first
     with rows of phases.
     """
-    knows = not task.own and task.data.sections is None
+    knows = not task.own and task.data.parts.whole
     usual = (tie_breakers, least_reactive_power if knows else as_it_is)
     for way in ways or ((as_it_is, *OF_PHASES) if task.by_phase else usual):
         attempt = way(task, found)

@@ -17,8 +17,9 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolveError
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
-from vppres.model.own_state import GIVEN, giving_way, with_own_state
+from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.ratings import (
+    GIVEN,
     MOVED_SHARE,
     has_ratings,
     overloaded,
@@ -140,7 +141,7 @@ class WindowSolver:
         *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
         found = self._answer(tighter, data, deadline)
         # Most windows exceed no rating. Where there is no answer within them, they give way.
-        for share in sorted(GIVEN) if self.site.rated else ():
+        for share in GIVEN if self.site.rated else ():
             limited = with_ratings_given(self.site, data, found.dispatch, share)
             if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
                 break
@@ -304,6 +305,29 @@ class WindowSolver:
         return self._served(with_ratings_given(self.site, data, before, 1.0), limits, served)
 
     @one_at_a_time
+    def fleet_bound(self, data: WindowData, within_s: float = math.inf) -> float:
+        """Most that F can be in a window whose network carries everything; infinite if unknown.
+
+        Parameters
+        ----------
+        data : WindowData
+            What changes from window to window.
+        within_s : float, optional
+            Time that it may take, in s, where that is less than the limit.
+        """
+        sound = data.with_sound_soc(self.site.batteries)
+        if self.method != "decomposed" or sound.longest_off is not None:
+            return math.inf
+        task = self._task(sound, self.limits.at_most(within_s))
+        require_bounds(task)
+        if worth_everyone(task):
+            everyone_served(task)
+        for rung in rungs(task):
+            if task.goes_on and not task.search.passed:
+                rung()
+        return -math.inf if task.certificate.nothing_to_find else task.certificate.bound
+
+    @one_at_a_time
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
 
@@ -366,7 +390,7 @@ def worth_everyone(task: WindowTask) -> bool:
     if task.minds_service:
         return False
     data = task.data
-    if (data.grid_limit_kw > 0.0).all() and data.sections is None:
+    if (data.grid_limit_kw > 0.0).all() and data.parts.whole:
         return True
     return data.switching is None and everyone_in_reach(task.site, data)
 

@@ -141,7 +141,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         flow_max_kva=_followed_by_last(data.flow_max_kva, missing),
         physics=data.physics and data.physics.followed_by_nothing(missing),
         phased=data.phased and data.phased.followed_by_rest(missing),
-        sections=data.sections and data.sections.followed_by_one(missing),
+        parts=data.parts.followed_by_one(missing),
         ahead=data.ahead.followed_by_none(missing),
     )
 

@@ -51,6 +51,9 @@ def write_backtest(
 
 def render_backtest(result: Backtest, title: str, warned: WarningScores | None = None) -> str:
     """The back-test as one HTML page that needs nothing beside it."""
+    table = result.by_lead()
+    chosen = [lead for lead in (1, 2, 3, 6, 12, 24, 36, 48) if lead <= result.plan.horizon_h]
+    rows = table[table["lead_h"].isin(chosen) & table["held_80%"].notna()]
     return page(
         TEMPLATE,
         {
@@ -61,7 +64,9 @@ def render_backtest(result: Backtest, title: str, warned: WarningScores | None =
             "findings": backtest_findings(result, warned),
             "words": WORDS,
             "ranges": result.ranges().to_dict("records"),
-            "leads": _held_by_lead(result),
+            "leads": [
+                {str(name): value for name, value in row.items()} for row in rows.to_dict("records")
+            ],
             "energy": result.energy().to_dict("records"),
             "drift": result.drift().to_dict("records"),
             "band": _band(result),
@@ -177,14 +182,6 @@ def _band(result: Backtest) -> float:
     """How far a share of .8 strays by chance over the last days, of which each counts once."""
     days = len(set(result.issues[result.recent].date))
     return TWO_SIGMA * float(np.sqrt(0.8 * 0.2 / max(days, 1)))
-
-
-def _held_by_lead(result: Backtest) -> list[dict[str, Any]]:
-    """Coverage of intervals at some leads."""
-    table = result.by_lead()
-    chosen = [lead for lead in (1, 2, 3, 6, 12, 24, 36, 48) if lead <= result.plan.horizon_h]
-    rows = table[table["lead_h"].isin(chosen) & table["held_80%"].notna()]
-    return [{str(name): value for name, value in row.items()} for row in rows.to_dict("records")]
 
 
 def _less_or_more(change: float) -> str:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vppres.contract.decision import Decision
+from vppres.control.by_part import PartState, parts_of_step
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
-from vppres.model.formulas import (
-    bus_injections,
-    cell_kw,
-    curtailed_kw,
-    lossless_flows,
-    soc_after,
-)
+from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows
+from vppres.model.parts import at_items
 from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
@@ -91,6 +88,7 @@ def violations(
         _kinds(row, state, within),
         _switched_early(row, state),
         _unformed_supply(row, state),
+        _dead_parts(row, state),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -127,6 +125,19 @@ class _Row:
             plan.v_pu[row],
             {kind: plan.taken_by(kind, units)[row] for kind, units in site.kinds.items()},
             {kind: plan.running_of(kind, units)[row] for kind, units in site.kinds.items()},
+        )
+
+    def inside(self, part: PartState) -> _Row:
+        """Powers of devices of a part of the feeder, 0 for all others."""
+        return replace(
+            self,
+            served=self.served * part.customers,
+            curtailed_kw=self.curtailed_kw * part.pv,
+            pv_q_kvar=self.pv_q_kvar * part.pv,
+            charge_kw=self.charge_kw * part.batteries,
+            discharge_kw=self.discharge_kw * part.batteries,
+            batt_q_kvar=self.batt_q_kvar * part.batteries,
+            taken_kw={kind: kw * part.units[kind] for kind, kw in self.taken_kw.items()},
         )
 
 
@@ -167,19 +178,9 @@ def _service(row: _Row, state: StepState) -> str:
 def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     """Signs, ratings, exclusivity, discs; a battery that is out takes nothing."""
     b = state.site.batteries
-    most = np.minimum(b.p_max_kw, b.s_max_kva) * state.online
     slack = within.power_kw + within.power_share * b.s_max_kva
-    power = np.maximum(row.charge_kw, row.discharge_kw)
-    beyond = np.max(
-        [
-            power - most,
-            -row.charge_kw,
-            -row.discharge_kw,
-            np.minimum(row.charge_kw, row.discharge_kw),
-            np.hypot(row.charge_kw - row.discharge_kw, row.batt_q_kvar) - b.s_max_kva,
-        ],
-        axis=0,
-    )
+    powers = (row.charge_kw, row.discharge_kw, row.batt_q_kvar)
+    beyond = np.max([*power_beyond_kw(b, *powers, state.online).values()], axis=0)
     return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
@@ -225,14 +226,10 @@ def _unformed_supply(row: _Row, state: StepState) -> str:
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
-    b = state.site.batteries
-    stored_kw = cell_kw(row.charge_kw, row.discharge_kw, state.eta_charge, state.eta_discharge)
-    end = soc_after(state.soc, stored_kw, b, state.site.dt_h)
-    # What was outside before may stay there, but not move further out.
-    beyond = np.maximum(
-        end - np.maximum(b.soc_max, state.soc), np.minimum(b.soc_min, state.soc) - end
-    )
-    return _worst("battery energy", b.id, beyond - within.soc, beyond, "of capacity")
+    known = state.batteries_ahead
+    end = known.path(row.charge_kw[np.newaxis], row.discharge_kw[np.newaxis])[1]
+    beyond = np.maximum(*known.soc_beyond(end))
+    return _worst("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
 
 
 def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
@@ -242,7 +239,22 @@ def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
     return _worst("pv", pv.id, beyond - slack, beyond, "kVA")
 
 
+def _dead_parts(row: _Row, state: StepState) -> str:
+    """Customers on in parts of the feeder that nothing forms."""
+    off = at_items(state.parts.dead, state.site.customer_bus)[0]
+    wrong = off & (row.served > 0.0)
+    if not wrong.any():
+        return ""
+    return f"fault: nothing forms the grid at {state.site.customers.id[np.argmax(wrong)]}"
+
+
 def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
+    """Violation of the power balance of a part of the feeder; empty if there is none."""
+    found = (_balance_in(row.inside(p), p.state, within) for p in parts_of_step(state))
+    return next(filter(None, found), "")
+
+
+def _balance_in(row: _Row, state: StepState, within: Tolerances) -> str:
     """Violation of the import or export limit by the power balance; empty if there is none."""
     pv = state.site.pv
     served_kw = state.load_kw * row.served

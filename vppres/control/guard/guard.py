@@ -16,6 +16,8 @@ import numpy as np
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.control.by_part import PartState, by_part
+from vppres.control.carried import Carried
 from vppres.control.converged import dark_steps
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
@@ -115,8 +117,9 @@ class GuardedController:
     def _step_state(self, known: StateEstimate) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
-        state = StepState.of(self.site, known.observation, centre, known.online)
-        if not (self.options.physical and state.island):
+        physical = self.options.physical
+        state = StepState.of(self.site, known.observation, centre, known.online, physical)
+        if not (physical and state.island):
             return state
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
@@ -232,17 +235,20 @@ class GuardedController:
         """A row of a plan beside flexible power; None if it cannot be carried out."""
         served = np.asarray(plan.served[row], dtype=bool)
         share = np.where(served, plan.supplied[row], 1.0)
-        carried = carry(
-            replace(state, load_kw=state.load_kw * share),
-            served,
-            plan.charge_kw[row] - plan.discharge_kw[row],
-        )
+        wanted = plan.charge_kw[row] - plan.discharge_kw[row]
+
+        def as_planned_in(part: PartState) -> Carried | None:
+            dimmed = replace(part.state, load_kw=part.state.load_kw * share)
+            return carry(dimmed, served & part.customers, wanted * part.batteries)
+
+        carried = by_part(state, as_planned_in)
         if carried is None or carried.shortage:
             return None
         phased = state.island and bool(self.site.phases)
         if phased and not carried_by_phase(state, carried.dispatch):
             return None
-        dimmed = None if plan.share is None else (served * share)[np.newaxis]
+        supplied = carried.dispatch.served[0] * share
+        dimmed = None if plan.share is None else supplied[np.newaxis]
         decision = Decision(
             replace(carried.dispatch, share=dimmed),
             0,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.model.formulas import cell_kw
+from vppres.kinds.batteries.physics import cell_kw
 from vppres.scenario.assets import Batteries
 
 MOST_TIMES = 24

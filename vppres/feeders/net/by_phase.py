@@ -303,7 +303,8 @@ class _NetTables:
         # Its coils have the impedance of the positive sequence in the zero sequence too.
         self.y["zero"][low] -= 1.0 / (one * self._ohm(self.kv[low]))
         for sequence, case in (("one", self.one), ("zero", self.zero)):
-            half = 0.5 * _to_ground(case, row)
+            b, g, g_more, b_more = case["branch"][row, [B, BR_G, BR_G_ASYM, BR_B_ASYM]].real
+            half = 0.5 * np.array([g + 1j * b, g + g_more + 1j * (b + b_more)])
             self.y[sequence][high] += half[0] / tap**2 / self._ohm(self.kv[high])
             self.y[sequence][low] += half[1] / self._ohm(self.kv[low])
 
@@ -325,12 +326,6 @@ class _NetTables:
                 va = np.conj(y) * (V_PER_KV * across) ** 2 * len(PHASES) / W_PER_KW
                 if abs(va) > LEAST_KW:
                     yield PhaseShunt(str(own), coils, across, va.real, va.imag)
-
-
-def _to_ground(case: Any, row: int) -> Complexes:
-    """Admittance of a transformer to ground at its two ends, in pu, doubled."""
-    b, g, g_more, b_more = case["branch"][row, [B, BR_G, BR_G_ASYM, BR_B_ASYM]].real
-    return np.array([g + 1j * b, g + g_more + 1j * (b + b_more)])
 
 
 def _matrix(one: complex, zero: complex) -> Complexes:

@@ -49,7 +49,12 @@ def one_grid(
     several = grids + holding
     if wanted is None:
         if len({grid.bus for grid in several}) > 1:
-            raise InputError(_undecided(name, several))
+            raise InputError.of(
+                name,
+                f"has {len(several)} external grids: {named(map(str, several))}",
+                "Choose one with --slack, by its name or its bus; --slack all joins those that "
+                "hold the same voltage.",
+            )
         chosen = several[:1]
     elif wanted == ALL:
         chosen = several
@@ -68,15 +73,6 @@ def _grid(net: Any, table: str, index: Any, bus_ids: Mapping[int, BusId] | None)
     name = row["name"] if isinstance(row["name"], str) else ""
     bus_word = str(bus_ids[bus] if bus_ids else bus)
     return _Grid(table, index, bus, float(row["vm_pu"]), label(net, table, index), name, bus_word)
-
-
-def _undecided(name: str, grids: list[_Grid]) -> Problem:
-    return Problem(
-        name,
-        f"has {len(grids)} external grids: {named(map(str, grids))}",
-        "Choose one with --slack, by its name or its bus; --slack all joins those that hold the "
-        "same voltage.",
-    )
 
 
 def _unknown(name: str, wanted: str, grids: list[_Grid]) -> Problem:

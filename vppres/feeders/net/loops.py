@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
 from vppres.feeders.net.elements import label
 from vppres.feeders.net.reduce import BRANCHES, case_of, without_stubs
@@ -49,7 +49,8 @@ def open_loops(net: Any, name: str) -> Iterator[str]:
     while closing:
         found = [element for elements in closing[-at_once:] for element in elements]
         if any(table not in FIRST_END for table, _ in found):
-            raise InputError(_only_three_windings(name, len(closing)))
+            message = f"has {len(closing)} loops of transformers with three windings"
+            raise InputError.of(name, message, "Open one of each with --open.")
         for table, i in found:
             net[table].loc[i, "in_service"] = False
         opened += found
@@ -62,14 +63,6 @@ def open_loops(net: Any, name: str) -> Iterator[str]:
             f"taken out of service that carry the least current: {names}."
         )
         yield _change(before, after)
-
-
-def _only_three_windings(name: str, count: int) -> Problem:
-    return Problem(
-        name,
-        f"has {count} loops of transformers with three windings",
-        "Open one of each with --open.",
-    )
 
 
 def _solved(net: Any) -> pd.Series[float] | None:

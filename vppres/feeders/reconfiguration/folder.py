@@ -15,7 +15,7 @@ from vppres.core.text import iso
 from vppres.feeders.reconfiguration.choice import switch_at
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.source import SourceDeviation
@@ -88,7 +88,7 @@ def with_configuration(
     )
 
 
-def _faults_of(scenario: Scenario, changed: Network, kept: Flags) -> Iterator[Fault]:
+def _faults_of(scenario: Scenario, changed: Network, kept: Flags) -> Iterator[LineFault]:
     """Faults of lines that are kept, each by the bus that its line feeds in the changed network."""
     old = scenario.network
     ends = zip(changed.from_bus, changed.to_bus, strict=True)

@@ -6,13 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.text import iso
 from vppres.feeders.new.low_voltage import limits_of
 from vppres.feeders.reconfiguration.folder import injection_at, step_of
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.reconfiguration.search import Configuration, ConfigurationLimits
+from vppres.feeders.reconfiguration.sequence import SwitchedFeeder, SwitchingOrder, safe_order
 from vppres.feeders.sources import import_network
 from vppres.io.times import option_time
+from vppres.scenario.faults import OutOfService
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -40,6 +46,8 @@ class Reconfigurable:
         Sentence on the loads; empty for those of a network.
     record : mapping
         The same for machines.
+    of_the_day : mapping
+        Faults, cold load and customers of a scenario, for the order of operations.
     """
 
     name: str
@@ -49,6 +57,24 @@ class Reconfigurable:
     limits_pu: tuple[float, float]
     words: str = ""
     record: Mapping[str, Any] = field(default_factory=dict)
+    of_the_day: Mapping[str, Any] = field(default_factory=dict)
+
+    def order_to(
+        self, feeder: SwitchedNetwork, best: Configuration, limits: ConfigurationLimits
+    ) -> SwitchingOrder:
+        """Order of the operations from the present configuration to the best one."""
+        moving = SwitchedFeeder(
+            self.network, self.switches, *self.injection, limits, **self.of_the_day
+        )
+        n_lines = self.network.n_lines
+        # The search knows those open switches alone that may move.
+        ties = np.isin(self.switches.id[~self.switches.closed], feeder.ties.id)
+        at = np.append(np.arange(n_lines), n_lines + np.flatnonzero(ties))
+        now = np.arange(len(moving.names)) < n_lines
+        then = now.copy()
+        then[at] = True
+        then[at[[*best.opened]]] = False
+        return safe_order(moving, now, then)
 
 
 def feeder_of_network(
@@ -103,4 +129,23 @@ def feeder_of_scenario(
         (net.v_min_ac_pu, net.v_max_ac_pu),
         f"All customers and PV power of {time}{chosen}; batteries and other assets rest.",
         {"at": time},
+        of_the_day(day, step),
     )
+
+
+def of_the_day(day: Scenario, step: int) -> dict[str, Any]:
+    """Faults and cold load of a step, and the customers of each bus."""
+    net, customers = day.network, day.customers
+    found: dict[str, Any] = {"customers": {}}
+    for name, bus in zip(customers.id, customers.bus, strict=True):
+        found["customers"].setdefault(bus, []).append(str(name))
+    if day.switching.cold:
+        more = (day.switching.cold_load_factor - 1.0) * net.place(customers.bus)
+        found["cold_kw"] = more @ day.load_kw[step]
+        found["cold_kvar"] = more @ day.load_kvar[step]
+    out = OutOfService.of(day.faults, net, day.grid, range(step, step + 1))
+    if out is not None:
+        ties = np.zeros(int((~day.switches.closed).sum()), dtype=bool)
+        found["faulted"] = np.append(out.lines[0], ties)
+        found["bus_out"] = out.buses[0]
+    return found

@@ -14,6 +14,12 @@ from vppres.feeders.reconfiguration.search import (
     ConfigurationLimits,
     LeastLoss,
 )
+from vppres.feeders.reconfiguration.sequence import (
+    MOST_OPERATIONS,
+    MOST_STATES,
+    Operation,
+    SwitchingOrder,
+)
 
 EXACT_COUNT = 1e15
 """Number from which on a determinant has no exact digits."""
@@ -49,6 +55,46 @@ def outcome_words(feeder: SwitchedNetwork, found: LeastLoss) -> Iterator[str]:
         )
     if found.exact and found.solved < found.count:
         yield f"No power flow was found for {found.count - found.solved:,} of them."
+
+
+def order_words(order: SwitchingOrder) -> Iterator[str]:
+    """Operations in their order, in sentences, or the reason why there is none."""
+    if order.operations is None:
+        yield f"There is no order of operations. {order.reason}"
+        return
+    if order.operations:
+        yield "Order of operations:"
+    yield from (f"{i}. {one.sentence}" for i, one in enumerate(order.operations, start=1))
+    if order.margin < 0.0:
+        yield "The feeder is beyond its limits now, and no state in between is further beyond."
+    if not order.all_orders:
+        yield (
+            f"With more than {MOST_OPERATIONS // 2} exchanges not all orders were compared: after "
+            f"each operation the best {MOST_STATES} states were followed."
+        )
+
+
+def order_record(order: SwitchingOrder) -> dict[str, Any]:
+    """An order as JSON can hold it; ``operations`` is null if there is none."""
+    found = order.operations
+    return {
+        "operations": None if found is None else [_operation_record(one) for one in found],
+        "least_margin": order.margin if found else None,
+        "all_orders": order.all_orders,
+        "reason": order.reason,
+    }
+
+
+def _operation_record(one: Operation) -> dict[str, Any]:
+    """An operation; its margin is in pu of a voltage, or a share of a rating."""
+    return {
+        "switch": one.switch,
+        "operation": "close" if one.closes else "open",
+        "margin": one.margin.value,
+        "interrupted": list(one.interrupted),
+        "minutes": one.minutes,
+        "sentence": one.sentence,
+    }
 
 
 def differs(found: LeastLoss) -> bool:

@@ -70,7 +70,7 @@ def simbench_profiles(net: Any) -> tuple[Profile, ...]:
         for i, row in in_service(net, table).iterrows():
             shape = shapes.get(f"{row['profile']}{suffix}")
             if shape is not None:
-                factor = _given_kw(net, table, i)
+                factor = float(net[table]["p_mw"].at[i]) * _scaling(net, table, i) * KW_PER_MW
                 profiles.append(Profile("SimBench", label(net, table, i), shape, "kw", factor))
     return tuple(profiles)
 
@@ -131,11 +131,6 @@ def control_profiles(net: Any, controls: Iterable[Control]) -> tuple[Profile, ..
                 p_kw = float(net[control.element]["p_mw"].at[i]) * KW_PER_MW
                 profiles.append(Profile("ConstControl", name, series, "kw", control.factor * p_kw))
     return tuple(profiles)
-
-
-def _given_kw(net: Any, table: str, index: Any) -> float:
-    """Power of an element as it is given."""
-    return float(net[table]["p_mw"].at[index]) * _scaling(net, table, index) * KW_PER_MW
 
 
 def _scaling(net: Any, table: str, index: Any) -> float:

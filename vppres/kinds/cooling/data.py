@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, no_items
+from vppres.core.arrays import Flags, Floats, Names, no_items
 from vppres.core.text import counted
 from vppres.kinds.kind import Kind, KindTable
-from vppres.scenario.assets import Customers, positions_of
+from vppres.scenario.assets import Owned
 
 
 @dataclass(frozen=True, eq=False)
-class ThermalLoads(KindTable):
+class ThermalLoads(Owned, KindTable):
     """Rooms and tanks, shape (H,) each.
 
     Each is behind the switch of its ``customer`` and has its bus, tier and weight. It loses heat
@@ -52,22 +52,10 @@ class ThermalLoads(KindTable):
         """Largest power of each machine in every step, (T, H)."""
         return np.tile(self.p_max_kw, (scenario.grid.n_steps, 1))
 
-    def owner(self, customers: Customers) -> Wholes:
-        """Position of each load's customer, (H,)."""
-        return positions_of(self.customer, customers)
-
-    def buses(self, customers: Customers) -> Names:
-        """Bus of each load, (H,)."""
-        return customers.bus[self.owner(customers)]
-
     @property
     def largest_kw(self) -> Floats:
         """Largest power of each machine."""
         return self.p_max_kw
-
-    def connected(self, customers: Customers, served: Flags) -> Flags:
-        """Loads whose customer is served, (..., H) for (..., C)."""
-        return np.asarray(served[..., self.owner(customers)])
 
     def heat_per_kw(self, outside_c: Floats | float) -> Floats:
         """Heat that a kW brings in, negative for cooling, (H,), or (W, H) for (W, 1) outside.

@@ -17,7 +17,7 @@ from vppres.core.arrays import Flags, Floats, Names, Wholes, given_or, no_items
 from vppres.core.errors import Problem
 from vppres.core.text import counted, iso, named
 from vppres.kinds.kind import Kind, KindTable
-from vppres.scenario.assets import Customers, positions_of, without_customer
+from vppres.scenario.assets import Owned
 from vppres.scenario.timegrid import TimeGrid
 
 NO_CAR = -1
@@ -40,7 +40,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Chargers(KindTable):
+class Chargers(Owned, KindTable):
     """Chargers of vehicles, shape (K,) each.
 
     ``customer`` is the customer behind whose switch a charger is; one that stands alone has none
@@ -64,11 +64,6 @@ class Chargers(KindTable):
     eta_discharge: Floats = field(default_factory=no_items)
 
     @property
-    def alone(self) -> Flags:
-        """Chargers without a customer, (K,)."""
-        return without_customer(self.customer)
-
-    @property
     def two_way(self) -> Flags:
         """Chargers that discharge vehicles too, (K,)."""
         return np.asarray(self.p_discharge_kw > 0.0)
@@ -77,24 +72,10 @@ class Chargers(KindTable):
         """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
         return np.where(scenario.session_at >= 0, self.p_charge_kw, 0.0)
 
-    def owner(self, customers: Customers) -> Wholes:
-        """Position of each charger's customer, 0 for one that stands alone (:attr:`alone`)."""
-        return positions_of(self.customer, customers)
-
-    def buses(self, customers: Customers) -> Names:
-        """Bus of each charger, (K,): its own or its customer's."""
-        if not len(self):
-            return self.bus
-        return np.where(self.alone, self.bus, customers.bus[self.owner(customers)]).astype(object)
-
     @property
     def largest_kw(self) -> Floats:
         """Largest power of each charger."""
         return self.p_charge_kw
-
-    def connected(self, customers: Customers, served: Flags) -> Flags:
-        """Chargers that stand alone or whose customer is served, (..., K) for (..., C)."""
-        return self.alone | served[..., self.owner(customers)]
 
 
 @dataclass(frozen=True, eq=False)

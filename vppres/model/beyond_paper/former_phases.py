@@ -30,6 +30,7 @@ class FormerPhases(Addition):
     PV systems and batteries may take off a phase.
     """
 
+    apart: ClassVar[bool] = True
     for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
     formers: range

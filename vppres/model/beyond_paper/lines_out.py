@@ -20,7 +20,7 @@ from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named, injected_and_drawn
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
-from vppres.model.sections import at_items
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -55,9 +55,9 @@ class LinesOut(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Lines that are out in some step, and buses that are dead in some."""
-        if data.sections is None:
+        if data.parts.whole:
             return None
-        out, dead = data.sections.lines.any(axis=0), data.sections.dead.any(axis=0)
+        out, dead = data.parts.lines.any(axis=0), data.parts.dead.any(axis=0)
         return tuple(np.flatnonzero(out).tolist()), tuple(np.flatnonzero(dead).tolist())
 
     @classmethod
@@ -115,12 +115,10 @@ class LinesOut(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's parts."""
-        sections = data.sections
-        assert sections is not None
-        write(self.out, sections.lines[:, self.lines].astype(float))
+        write(self.out, data.parts.lines[:, self.lines].astype(float))
         for name, place in _places(site):
             if name in self.items:
-                dead: Flags = at_items(sections.dead, place)[:, self.items[name]]
+                dead: Flags = at_items(data.parts.dead, place)[:, self.items[name]]
                 write(self.lit[name], 1.0 - dead)
 
 

@@ -172,10 +172,10 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
         sound = sound & lit_steps(data)[:, None]
     if drawn is not None:
         # Points that are not sound may have no voltage at all.
-        new = drawn_at(network, np.where(sound, points.v_pu, 1.0), data.drawing_islands)
+        new = drawn_at(network, np.where(sound, points.v_pu, 1.0), data.in_island)
         drawn = Drawn(np.where(sound, new.kw, drawn.kw), np.where(sound, new.kvar, drawn.kvar))
-    if drawn is not None and data.sections is not None:
-        drawn = drawn.at(~data.sections.dead)
+    if drawn is not None:
+        drawn = drawn.at(~data.parts.dead)
     physics = replace(
         old,
         loss_kw=np.where(sound, points.loss_kw * margin, old.loss_kw),

@@ -224,20 +224,17 @@ def service_by_tier(runs: Runs) -> Chart:
     for label, run in named.items():
         title = f"{label}\n" if len(named) > 1 else ""
         panels.append(Tiles(f"{title}Customer", run, tile_rows(run)))
-        panels.append(_shares(run, f"{title}Customers\nsupplied (%)"))
+        curves = [
+            Curve(str(tier), 100.0 * share.to_numpy(float), style)
+            for (tier, share), style in zip(
+                share_by_tier(run).items(), itertools.cycle(TIER_STYLES), strict=False
+            )
+        ]
+        panels.append(
+            Curves(f"{title}Customers\nsupplied (%)", curves, 110.0, low=-4.0, high=104.0)
+        )
     first = next(iter(named.values()))
     return Chart("service_by_tier", "Supply by customer and tier", first, panels)
-
-
-def _shares(run: Trajectory, axis: str) -> Curves:
-    """Share of each tier's customers that are served, in per cent."""
-    curves = [
-        Curve(str(tier), 100.0 * share.to_numpy(float), style)
-        for (tier, share), style in zip(
-            share_by_tier(run).items(), itertools.cycle(TIER_STYLES), strict=False
-        )
-    ]
-    return Curves(axis, curves, 110.0, low=-4.0, high=104.0)
 
 
 def timeline(run: Trajectory) -> Chart:

@@ -59,6 +59,8 @@ def explain_section(run: Run) -> Section | None:
     prices = trajectory.shadow_prices
     if explanations is None or prices is None:
         return None
+    clock = Clock.of(trajectory)
+    rows = explanations[explanations["item"] == "customer"]
     return section(
         "explain",
         "Decisions and reasons",
@@ -67,7 +69,10 @@ def explain_section(run: Run) -> Section | None:
             "steps": _steps(trajectory, prices, _counts(run)),
             "reasons": _reasons(explanations),
             "folded_above": FOLDED_ABOVE,
-            "people": _people(explanations, Clock.of(trajectory)),
+            "people": [
+                {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
+                for row in rows.to_dict("records")
+            ],
             "figure": figure_of(worth_of_energy(trajectory), WORTH_TEXT),
         },
     )
@@ -150,12 +155,3 @@ def _reasons(explanations: pd.DataFrame) -> list[Row]:
         for (action, driver, binding), words in groups
     ]
     return sorted(rows, key=lambda row: (row["action"], -int(row["count"])))
-
-
-def _people(explanations: pd.DataFrame, clock: Clock) -> list[Row]:
-    """Every customer and step without service, or restored in time, with its reason."""
-    rows = explanations[explanations["item"] == "customer"]
-    return [
-        {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
-        for row in rows.to_dict("records")
-    ]

@@ -52,7 +52,10 @@ def feeder_section(run: Run) -> Section:
             | {
                 "customers": customers,
                 "lines": ends,
-                "ratings": _ratings(run.trajectory),
+                "ratings": [
+                    round(rating, 1) if np.isfinite(rating) else None
+                    for rating in run.trajectory.scenario.network.i_max_a.tolist()
+                ],
                 "batteries": day.batteries.id.tolist(),
                 "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
                 "devices": {
@@ -62,14 +65,6 @@ def feeder_section(run: Run) -> Section:
             },
         },
     )
-
-
-def _ratings(run: Trajectory) -> list[float | None]:
-    """Rating of each line in A, None where it has none."""
-    return [
-        round(rating, 1) if np.isfinite(rating) else None
-        for rating in run.scenario.network.i_max_a.tolist()
-    ]
 
 
 def _loading_words(run: Trajectory) -> list[str]:

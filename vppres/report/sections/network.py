@@ -12,6 +12,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import Run, Section, section
+from vppres.scenario.configuration import Branches
 
 LINES_SHOWN = 10
 
@@ -60,19 +61,20 @@ def _fullest(run: Trajectory, rows: pd.DataFrame) -> dict[str, Any]:
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     """The most loaded lines, or those with the largest current where there are no ratings."""
-    net = run.scenario.network
+    lines = Branches(run.scenario)
     current = line_current_a(run)
     loading = line_loading(run)
-    rated = np.isfinite(net.i_max_a)
     peak = current.max(axis=0)
-    share = np.where(rated, peak / net.i_max_a, np.nan)
+    rating_a = lines.rating_a[: len(peak)]
+    rated = np.isfinite(rating_a)
+    share = np.where(rated, peak / rating_a, np.nan)
     order = np.argsort(-np.where(rated, share, -1.0) if rated.any() else -peak, kind="stable")
     times = run.steps["time"].map(Clock.of(run).words).tolist()
     return [
         {
-            "line": f"{net.from_bus[i]} to {net.to_bus[i]}",
+            "line": f"{lines.from_bus[i]} to {lines.to_bus[i]}",
             "current_a": float(peak[i]),
-            "rating_a": float(net.i_max_a[i]) if rated[i] else None,
+            "rating_a": float(rating_a[i]) if rated[i] else None,
             "loading": float(share[i]) if rated[i] else None,
             "hours_above": float(
                 (np.nan_to_num(loading[:, i]) > 1.0).sum() * run.scenario.grid.dt_h

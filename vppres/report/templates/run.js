@@ -14,6 +14,7 @@
   }
 
   function lineWords(line, step) {
+    if (data.line[step][line] === "9") { return data.lines[line] + ": out of service"; }
     const amps = data.amps[step][line], rating = data.ratings[line];
     return data.lines[line] + ": " + amps + " A"
       + (rating === null ? "" : ", " + Math.round(100 * amps / rating) + "% of " + rating + " A");

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import pandas as pd
@@ -15,8 +16,9 @@ from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
 from vppres.service.events.announced import announced_at
+from vppres.service.events.faults import behind_faults
 from vppres.service.of_kind import every
-from vppres.service.plans.document import points_at, refused_of
+from vppres.service.plans.document import DARK, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
 from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
@@ -108,6 +110,17 @@ class Situation:
         points = points_at(self.plan, self.now)
         return {one["asset"] for one in points if one.get("served") is False}
 
+    @cached_property
+    def behind_faults(self) -> list[tuple[Mapping[str, Any], set[str]]]:
+        """Faults of lines and buses of now, each with the customers behind it."""
+        return behind_faults(self.plan, self.scenario, self.now)
+
+    def blacked_out(self, customers: Sequence[str]) -> str:
+        """Why the first of some customers that a fault blacks out has no supply; empty for none."""
+        reasons = {one["asset"]: one["reason"] for one in points_at(self.plan, self.now)}
+        dark = (why for name in customers if (why := reasons.get(name, "")).startswith(DARK))
+        return next(dark, "").removeprefix(DARK)
+
     def clock(self, time: str | pd.Timestamp) -> str:
         """Hours and minutes at the site."""
         return f"{pd.Timestamp(time).tz_convert(self.scenario.grid.zone):%H:%M}"
@@ -172,6 +185,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _grid_contradicted(now)
     yield from _grid_lost(now)
     yield from _off_with_grid(now)
+    yield from _lines_out(now)
     yield from _one_former_left(now)
     yield from _shed(now)
     yield from _critical_off(now)
@@ -242,7 +256,8 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         return
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: not known
-    off = sorted(now.off - set(now.failing))
+    cut_off = {name for _, behind in now.behind_faults for name in behind}
+    off = sorted(now.off - set(now.failing) - cut_off)
     if not off:
         return
     words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
@@ -253,6 +268,20 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         words += f", by the operator's mode {plan['status']}"
     priority = HIGH if now.critical.intersection(off) else MEDIUM
     yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
+
+
+def _lines_out(now: Situation) -> Iterator[Condition]:
+    """Lines and buses that are out of service, and the customers behind that are off."""
+    for one, behind in now.behind_faults:
+        cut = sorted(now.off & behind)
+        name, end = one["name"], one["end"]
+        words = f"{name[0].upper()}{name[1:]} is out of service"
+        words += f" until {now.clock(end)}" if end else ", and its end is not known"
+        if cut:
+            why = now.blacked_out(cut) or "too little power or energy behind it"
+            words += f"; {named(cut, NAMES_SHOWN)} off supply: {why}"
+        priority = HIGH if now.critical.intersection(cut) else MEDIUM
+        yield Condition("line_out", name, priority, f"{words}.", tuple(cut))
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
@@ -293,6 +322,8 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
         if now.why_dark:
             words += f": {now.why_dark}"
+        elif dark := now.blacked_out(off):
+            words += f": {dark}"
         elif late:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(off))

@@ -67,6 +67,9 @@ KINDS = {
     "off_with_grid": AlarmKind(
         0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
     ),
+    "line_out": AlarmKind(
+        0.0, 0.0, "Record it as an event when the expected end changes, and when it is repaired."
+    ),
     "one_former_left": AlarmKind(
         0.0,
         0.0,

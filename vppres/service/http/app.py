@@ -21,11 +21,12 @@ from vppres.service.routes import (
     page,
     plans,
     setpoints,
+    switching,
     telemetry,
 )
 from vppres.service.routes.guard import Guard
 
-GUARDED = (telemetry, forecasts, events, plans, setpoints, alarms, operation, page)
+GUARDED = (telemetry, forecasts, events, plans, setpoints, alarms, operation, switching, page)
 
 
 def make_app(

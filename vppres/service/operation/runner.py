@@ -25,6 +25,7 @@ from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.live.profile import ClockProfile
+from vppres.scenario.faults import LineFault
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms.conditions import BY_HAND, Situation, conditions, situation
@@ -33,8 +34,10 @@ from vppres.service.alarms.state import Alarms
 from vppres.service.as_told import expected_by
 from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.events.announced import warnings
+from vppres.service.events.faults import FAULTS, faults_at, told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.by_hand import ByHand
+from vppres.service.operation.switching import CLOSED, SWITCHING, Switchgear
 from vppres.service.plans.document import (
     Left,
     defaults_of,
@@ -291,20 +294,45 @@ class Runner:
         InputError
             If they would black out an island that is lit.
         """
-        now, last = self.clock.now(), self.last
+        now = self.clock.now()
         found = self.situation(now)
+        step = told_by_plans(self._measured(now, found.is_dark), [found.plan])
+        return ByHand(asked, step, found, self.options).words()
+
+    def switchgear(self, asked: Mapping[str, Any] | None = None) -> Switchgear:
+        """Switches as they were read last, and as an operator asked for them, or asks now."""
+        now = self.clock.now()
+        until = now + EARLY_SHARE * self.length
+        ids = {str(name) for name in self.scenario.switches.id}
+        latest = [one for one in self.store.latest(until, [CLOSED]) if one.asset in ids]
+        read = {one.asset: one.value == 1.0 for one in latest if one.known}
+        given = self.store.setting(SWITCHING)[0] if asked is None else asked
+        is_dark = self.situation(now).is_dark
+        seen = self._carried_out(given.get("issued"), until)
+        return Switchgear(self._measured(now, is_dark), read, given, seen, not is_dark, now)
+
+    def _carried_out(self, issued: Mapping[str, Any] | None, until: pd.Timestamp) -> bool:
+        """Whether an operation was seen in a reading after it was confirmed."""
+        if issued is None:
+            return False
+        since = self.store.between(pd.Timestamp(issued["confirmed_at"]), until, [CLOSED])
+        told = (one for one in since if one.asset == issued["switch"])
+        return any(one.value == float(issued["closed"]) for one in told)
+
+    def _measured(self, now: pd.Timestamp, is_dark: bool) -> Scenario:
+        """The present step, with its readings and what is known to be out."""
+        last = self.last
         step = self._profile_of(self.begun(now))
         measured = InSteps(self.store, step.grid)
         limit_kw = expected_by(last).get("grid_limit_kw")
         known_kw = np.inf if limit_kw in (None, 0.0) else limit_kw
-        step = replace(
+        return replace(
             step,
             load_kw=measured.laid("load_kw", step.customers.id, step.load_kw),
             pv_kw=np.minimum(measured.laid("pv_kw", step.pv.id, step.pv_kw), step.pv.p_max_kw),
-            grid_limit_kw=np.array([0.0 if found.is_dark else known_kw]),
+            grid_limit_kw=np.array([0.0 if is_dark else known_kw]),
+            faults=self.faults(now),
         )
-        step = told_by_plans(step, [found.plan])
-        return ByHand(asked, step, found, self.options).words()
 
     def situation(self, now: pd.Timestamp) -> Situation:
         """How the site is, with the last plan and what that does not know."""
@@ -478,6 +506,8 @@ class Runner:
         plan = {**plan, "generated_at": written(self.clock.now())}
         if self._within:
             plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
+        if faults := self.faults(self._moment(time)):
+            plan[FAULTS] = told(faults, self.scenario.network, self.length, time)
         if not known:
             self.store.write_step(time, plan, asked=asked)
             return plan
@@ -575,7 +605,7 @@ class Runner:
         self, time: pd.Timestamp, known: StepInputs | None, error: Exception
     ) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
-        now = self._profile_of(time)
+        now = replace(self._profile_of(time), faults=self.faults(self._moment(time)))
         left = self._left(time, known.grid if known else None)
         soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
         if known:
@@ -584,7 +614,8 @@ class Runner:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
-        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
+        physical = self.options.mode == "physical"
+        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []), physical)
         return ordered_plan(time, self.scenario, mode, tables, {}, left)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
@@ -674,6 +705,11 @@ class Runner:
             if missing > 0:
                 self._controller.extend(self.profile.steps(end, missing))
         self._controller.warn(*self.warnings(time), replacing=True)
+        self._controller.report(*self.faults(self._moment(time)), replacing=True)
+
+    def faults(self, now: pd.Timestamp) -> tuple[LineFault, ...]:
+        """Faults of lines and buses that are known and not over."""
+        return faults_at(self.store.events().values(), self.scenario, now)
 
     def warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
         """Messages of outages: those of events, and the scenario's own where it is rehearsed."""

@@ -189,6 +189,17 @@ const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 // What comes next: the end of what is stored in an outage, the outage that is announced without.
 function next(view, at) {
   if (outage(view)) return foreseen(view, at);
+  const faults = outOfService(view, at);
+  return faults ? `${faults} ${comes(view, at)}` : comes(view, at);
+}
+
+// Lines and buses that are out of service now, or will be; empty for none.
+function outOfService(view, at) {
+  const faults = (view.overview.plan?.faults ?? []).filter((one) => !one.end || new Date(one.end) > view.now);
+  return faults.map((one) => `${capital(one.name)} ${one.out ? "is" : `will be, from ${at(one.start)},`} out of service${one.end ? ` until ${at(one.end)}` : ", end unknown"}.`).join(" ");
+}
+
+function comes(view, at) {
   const events = Object.values(view.overview.events).filter((event) => event.type === "outage" && new Date(event.start) > view.now);
   const ahead = view.overview.plan?.ahead;
   const dark = ahead?.grid_limit_kw.indexOf(0) ?? -1;
@@ -402,6 +413,7 @@ export function announced(event, view) {
   const span = event.start ? `${covers(event, view.now) && !event.end ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end unknown"}` : "";
   switch (event.type) {
     case "outage": return `Outage ${span}`;
+    case "fault": return `${event.line ? `Line ${view.site.lines[event.line]}` : `Bus ${event.bus}`} out of service ${span}`;
     case "import_limit": return `Import at most ${kilo(event.limit_kw)} kW ${span}`;
     case "price": return `Prices ${span}: ${event.price_gbp_per_kwh.slice(0, 3).map((p) => p.toFixed(2)).join(", ")}${event.price_gbp_per_kwh.length > 3 ? ", \u2026" : ""} GBP/kWh`;
     case "alert": return `${event.text} (${span})`;

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.plain import number_or_none
-from vppres.day.recorder import ROTATED
+from vppres.day.recorder import OFF_BY_FAULT, ROTATED
 from vppres.kinds.customer.data import limits_h
 from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
@@ -51,6 +51,9 @@ CHECKED = (*DECIDED, "hold", "manual")
 
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that cannot be switched on."""
+
+DARK = "blacked out: "
+"""How the reason begins of a customer in an island, or part of the feeder, that is blacked out."""
 
 SHED = "shed: "
 """How the reason begins of a customer that the plan served and its island cannot hold."""
@@ -105,6 +108,7 @@ def plan_of(
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
     shed = shed_in(decision)
     own = {("customers", name): f"{SHED}{why}" for name, why in shed.items()}
+    own |= {("customers", name): f"{DARK}{why}" for name, why in off_by_fault(decision).items()}
     own |= {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
     return {
         **_head(decision.time, scenario, "ok" if fallback is None else "fallback"),
@@ -162,6 +166,14 @@ def shed_in(decision: SetPoints) -> dict[str, str]:
         return {}
     why = str(solve.get("ac_failed") or "") or TOO_LITTLE
     return {str(name): why for name in c.index[c["shed"].astype(bool)]}
+
+
+def off_by_fault(decision: SetPoints) -> dict[str, str]:
+    """Customers in parts of the feeder that a fault blacks out, and why."""
+    c = decision.customers
+    if OFF_BY_FAULT not in c:
+        return {}
+    return {str(name): str(why) for name, why in c[OFF_BY_FAULT].items() if why}
 
 
 def tables_of(decision: SetPoints, scenario: Scenario) -> Tables:

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.kinds.batteries.physics import BatteriesAhead, power_beyond_kw
 from vppres.kinds.table import parts
 from vppres.live.range import POWER_KW, above_rating, slack_kw
 from vppres.scenario.scenario import Scenario
@@ -60,14 +61,12 @@ def _batteries(table: pd.DataFrame, scenario: Scenario, soc: Mapping[str, float]
     b = scenario.batteries
     p_kw, q_kvar = _numbers(table, "p_kw", "q_kvar")
     held = np.array([soc.get(name, np.nan) for name in b.id], dtype=float)
-    stored_kw = np.where(p_kw > 0.0, p_kw * b.eta_charge, p_kw / b.eta_discharge)
-    after = held + stored_kw * scenario.grid.dt_h / b.energy_kwh
-    # What is outside already may stay there, and come back; what is not known is not checked.
-    over = after - np.maximum(b.soc_max, held)
-    under = np.minimum(b.soc_min, held) - after
+    known = BatteriesAhead(b, held, b.eta_charge, b.eta_discharge, scenario.grid.dt_h)
+    over, under = known.soc_beyond(known.after(p_kw))  # NaN where the charge is not known
+    beyond = power_beyond_kw(b, np.maximum(p_kw, 0.0), np.maximum(-p_kw, 0.0), q_kvar)
     return {
-        "power above its rating": above_rating(np.abs(p_kw), b.p_max_kw),
-        "apparent power above its rating": above_rating(np.hypot(p_kw, q_kvar), b.s_max_kva),
+        "power above its rating": beyond["power"] - slack_kw(b.p_max_kw),
+        "apparent power above its rating": beyond["inverter"] - slack_kw(b.s_max_kva),
         "energy above its upper limit": over - SOC_SHARE,
         "energy below its lower limit": under - SOC_SHARE,
     }

@@ -7,17 +7,23 @@ from typing import Any
 
 import numpy as np
 
+from vppres.control.by_part import by_part
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.kinds.table import parts
 from vppres.model.linearise import delta_offset
+from vppres.model.parts import parts_of
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.service.plans.document import Tables
 
 
 def ruled(
-    now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str], before: Tables
+    now: Scenario,
+    soc: Mapping[str, float],
+    lost: Mapping[str, str],
+    before: Tables,
+    needs_former: bool = False,
 ) -> Tables:
     """Set-points by rule, which needs no solver.
 
@@ -31,27 +37,33 @@ def ruled(
         Customers that cannot be supplied.
     before : mapping of str to DataFrame
         Set-points of the last step by kind: units that are started and stopped keep theirs.
+    needs_former : bool, optional
+        Whether islands need a battery that forms their grid, as in physical mode.
     """
     site = Site.of(now)
     b = site.batteries
     held = np.array([soc.get(str(name), np.nan) for name in b.id], dtype=float)
     connected = np.array([str(name) not in lost for name in site.customers.id], dtype=bool)
+    held_soc = np.where(np.isfinite(held), np.clip(held, b.soc_min, b.soc_max), b.soc_min)
     state = StepState(
         site,
         now.load_kw[0] * connected,
         now.pv_kw[0],
         float(now.grid_limit_kw[0]),
-        np.where(np.isfinite(held), np.clip(held, b.soc_min, b.soc_max), b.soc_min),
+        held_soc,
         b.eta_charge,
         b.eta_discharge,
         delta_offset(site.network, None),
         np.isfinite(held),
+        parts=parts_of(site, now.out_of_service(range(1)), held_soc, now.outage, needs_former),
     )
     for kind, table in before.items():
         if "running" in table:
             on, given_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
             state.taken_kw[kind], state.running[kind] = -given_kw, on
-    found = rule_dispatch(state, now.tiers).dispatch
+    carried = by_part(state, lambda part: rule_dispatch(part.state, now.tiers))
+    assert carried is not None  # a rule always has an answer
+    found = carried.dispatch
     columns: dict[str, dict[str, Any]] = {
         "batteries": {
             "p_kw": (found.charge_kw - found.discharge_kw)[0],

@@ -17,6 +17,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.formers import forming_kinds
 from vppres.scenario.scenario import Scenario
@@ -190,9 +191,9 @@ def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
     """
     b = scenario.batteries
     first = np.asarray(scenario.customers.tier == scenario.tiers[0])
-    held_kwh = np.maximum(record.batteries["soc_start"] - b.soc_min, 0.0) * b.energy_kwh
-    from_batteries_kw = np.minimum(b.p_max_kw, held_kwh * b.eta_discharge / scenario.grid.dt_h)
-    there_kw = float(record.pv["available_kw"].sum() + from_batteries_kw.sum())
+    soc = record.batteries["soc_start"]
+    known = BatteriesAhead(b, soc, b.eta_charge, b.eta_discharge, scenario.grid.dt_h)
+    there_kw = float(record.pv["available_kw"].sum() + known.most_kw()[1].sum())
     there_kw += float(scenario.grid_limit_kw[record.t])
     there_kw += sum(every()[kind].able_kw(scenario, row) for kind, row in record.kinds.items())
     return there_kw >= float(record.customers["p_load_kw"][first].sum())

@@ -31,6 +31,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, expected_by
 from vppres.service.clock import written
 from vppres.service.events.announced import limits_kw, prices, warnings_ever
+from vppres.service.events.faults import faults_told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.runner import Service
 from vppres.service.plans.world import World
@@ -107,7 +108,7 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     if n_steps > MOST_STEPS:
         cure = f"Give {MOST_STEPS} steps at most, and export the others apart."
         raise InputError.of("export", "is too long", cure, value=f"{n_steps} steps")
-    return replace(profile.steps(first, n_steps), warnings=())
+    return replace(profile.steps(first, n_steps), warnings=(), faults=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +156,7 @@ class Replay:
             pv_kw=np.minimum(measured.laid("pv_kw", pv.id, scenario.pv_kw), pv.p_max_kw),
             price_gbp_per_kwh=price,
             grid_limit_kw=np.where(dark, 0.0, limit_kw),
+            faults=faults_told([plan for plan in stored if plan], scenario.network, step),
             batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
         )
         return cls(told_by_plans(known, stored), options, stored, parts, soc)

@@ -11,6 +11,7 @@ from starlette.exceptions import HTTPException
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.events.announced import believes, check_belief, check_new
+from vppres.service.events.faults import check_fault
 from vppres.service.events.openadr import OpenADREvent, events_of, those_of
 from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
@@ -55,7 +56,9 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         actor: str = guarded("events"),
         if_match: Annotated[str | None, Header()] = None,
     ) -> dict[str, Any]:
-        """An outage, a belief or what a crew says of its end; an import limit, prices or an alert.
+        """An outage, a belief or what a crew says of its end; a line or bus that is out.
+
+        Also an import limit, prices or an alert.
 
         It replaces the old one.
         """
@@ -98,6 +101,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             if isinstance(one, payloads.Prices):
                 check_forecast("load_kw", {}, one.start, one.resolution, runner.scenario)
             check_belief(one, runner.options)
+            check_fault(one, runner.scenario)
         now = runner.clock.now()
         check_new(said, runner.store.events(), now)
         bodies: dict[str, dict[str, Any]] = {name: {} for name in replaced}

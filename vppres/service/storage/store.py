@@ -219,19 +219,16 @@ class Store:
         # Nothing else writes here, so that what was read holds until an event changes.
         seen = self._event_changes
         if self._events_known[0] != seen or self._reading:
-            self._events_known = seen, self._events_stored()
+            chosen = sa.select(EVENTS).order_by(EVENTS.c.id, EVENTS.c.version)
+            found: dict[str, list[Event]] = {}
+            for row in self._rows(chosen):
+                earlier = found.setdefault(row.id, [])
+                goes_on = earlier and earlier[-1].body
+                since = earlier[-1].since if goes_on else row.made_at
+                body = json.loads(row.body) if row.body else {}
+                earlier.append(Event(row.version, body, row.made_at, since))
+            self._events_known = seen, found
         return self._events_known[1]
-
-    def _events_stored(self) -> dict[str, list[Event]]:
-        chosen = sa.select(EVENTS).order_by(EVENTS.c.id, EVENTS.c.version)
-        found: dict[str, list[Event]] = {}
-        for row in self._rows(chosen):
-            earlier = found.setdefault(row.id, [])
-            goes_on = earlier and earlier[-1].body
-            since = earlier[-1].since if goes_on else row.made_at
-            body = json.loads(row.body) if row.body else {}
-            earlier.append(Event(row.version, body, row.made_at, since))
-        return found
 
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str

@@ -123,6 +123,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
+        "closed": [str(name) for name in scenario.switches.id],
         **{
             name: [str(unit) for unit in getattr(scenario, kind).id]
             for kind, names in OF_KINDS.items()
@@ -537,7 +538,8 @@ def _grid(
     read = readings.now("grid_on").get(GRID, np.nan)
     last = readings.last.get((GRID, "grid_on"))
     known_by = "profile"
-    if read == 1.0 and last and _begun_since(events, moment(last.time), now):
+    has_begun = announced_at(events, now)
+    if read == 1.0 and last and has_begun and not announced_at(events, moment(last.time)):
         read = np.nan  # it says nothing of an outage that was announced and has begun since
     if doubt:
         read, last = np.nan, None
@@ -558,11 +560,6 @@ def _grid(
         out[0] = True
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
-
-
-def _begun_since(events: list[Event], then: pd.Timestamp, now: pd.Timestamp) -> bool:
-    """Whether a certain outage has begun since a time."""
-    return announced_at(events, now) and not announced_at(events, then)
 
 
 def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:

@@ -201,7 +201,7 @@ def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | No
     """
     data = task.data
     if lumped not in task.masters:
-        plain = data.switching is None and data.sections is None
+        plain = data.switching is None and data.parts.whole
         plain = plain and not task.own and not data.keeps_service
         stepwise = plain and lumped == fleets_of(data)[0]
         task.masters[lumped] = Master(task.cache, data, task.spec, deadline, lumped, stepwise)
@@ -217,7 +217,7 @@ def fleets_of(data: WindowData) -> tuple[bool, ...]:
     """
     if len(data.soc) == 0:
         return (True,)
-    if data.phased is not None or data.sections is not None:
+    if data.phased is not None or not data.parts.whole:
         return (False,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)

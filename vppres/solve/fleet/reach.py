@@ -10,6 +10,7 @@ from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING
 from vppres.model.site import Site
+from vppres.solve.programs import SOLVED
 
 LEAST_EFFICIENCY = 0.01
 """Of a fleet without batteries, which has no power either; no battery has less."""
@@ -19,7 +20,8 @@ LEAST_EFFICIENCY = 0.01
 class OneBattery:
     """A battery of the whole fleet with the best of all efficiencies.
 
-    It charges whenever there is power to spare: more energy never hurts.
+    It charges whenever there is power to spare: more energy never hurts. What it lacks of power or
+    energy is forgiven as a solver forgives it in its rows, or it would bound what these reach.
 
     Attributes
     ----------
@@ -67,7 +69,7 @@ class OneBattery:
         [-inf]
         """
         spare = float(self.given_kw[t]) - demand_kw
-        missing = -spare - ROUNDING * (1.0 + abs(demand_kw))
+        missing = -spare - max(SOLVED, ROUNDING * (1.0 + abs(demand_kw)))
         if missing > self.power_kw[t]:
             return np.full(len(stored_kwh), -np.inf)
         per_kw = self.per_charged if spare > 0.0 else self.per_discharged
@@ -75,7 +77,7 @@ class OneBattery:
         after = np.minimum(stored_kwh + flow_kwh, np.maximum(stored_kwh, self.most_kwh))
         if missing <= 0.0:
             return after
-        enough = stored_kwh - missing * self.per_discharged >= self.least_kwh[t] - ROUNDING
+        enough = stored_kwh - missing * self.per_discharged >= self.least_kwh[t] - SOLVED
         return np.where(enough, after, -np.inf)
 
     def carries(self, demand_kw: Floats) -> bool:

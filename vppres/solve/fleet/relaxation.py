@@ -19,10 +19,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
-from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import ROUNDING, SAME, cost_scale, objective_scale
-from vppres.model.sections import at_items
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
@@ -223,13 +223,11 @@ class Fleet:
         ``ch/a + dch/b <= 1``; summed over a group with its smallest ratio it stays valid.
         """
         b = self.site.batteries
-        dt_h = self.site.dt_h
         limit = data.active_max_kw(b)[0]
         least = data.soc_min(b)[0] - missed_soc
-        until_full = charge_to_kw(b.soc_max, data.soc, data.eta_charge, b, dt_h)
-        until_empty = discharge_to_kw(least, data.soc, data.eta_discharge, b, dt_h)
-        charge = np.minimum(limit, until_full)
-        discharge = np.minimum(limit, until_empty)
+        known = BatteriesAhead.of(b, data, self.site.dt_h)
+        charge = np.minimum(limit, known.charge_to_kw(b.soc_max))
+        discharge = np.minimum(limit, known.discharge_to_kw(least))
         # A ratio of next to nothing says nothing, and is no number a solver can work with.
         both = (charge > NO_POWER_KW) & (discharge > NO_POWER_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
@@ -327,8 +325,7 @@ class FleetProblem(Selected):
             unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
         )
         able = fleet.able(data)
-        if data.sections is not None:
-            connected = connected & ~at_items(data.sections.beyond, fleet.site.customer_bus)
+        connected = connected & ~at_items(data.parts.beyond, fleet.site.customer_bus)
         self.limits = {
             **limits,
             "service_max": able,

@@ -53,7 +53,7 @@ def applies(site: Site, data: WindowData) -> bool:
     come from the search with binaries. Reactive power stays within no part of a feeder here.
     """
     unit = weight_grid(site.customers.weight * site.dt_h)
-    if unit == 0.0 or data.keeps_service or data.sections is not None:
+    if unit == 0.0 or data.keeps_service or not data.parts.whole:
         return False
     if data.switching is None:
         return True

@@ -12,17 +12,18 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.site import Site
 from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within, named_units
+from vppres.scenario.network import Network
 
 
 @dataclass(frozen=True, eq=False)
-class Sections:
-    """Parts of a feeder in W steps.
+class Parts:
+    """Parts of a feeder in W steps: all of it is one where no line is out.
 
     Parameters
     ----------
     lines : array of bool, shape (W, L)
         Lines that are out: they carry nothing.
-    part : array of int, shape (W, N)
+    of_bus : array of int, shape (W, N)
         Number of the part of each bus; 0 is that with the grid's bus.
     dead : array of bool, shape (W, N)
         Buses of parts that nothing forms, and buses that are out themselves.
@@ -33,30 +34,46 @@ class Sections:
     """
 
     lines: Flags
-    part: Wholes
+    of_bus: Wholes
     dead: Flags
     reference: Wholes
     forms: Flags
 
-    def steps(self, steps: slice) -> Sections | None:
-        """Some of the steps, None where no line is out in them."""
-        found = Sections(*(getattr(self, f.name)[steps] for f in fields(self)))
-        return found if found.lines.any() else None
+    @classmethod
+    def one(cls, network: Network, n_batteries: int, n_steps: int) -> Parts:
+        """Steps in which the feeder is one part, that of the grid."""
+        at_buses = (n_steps, network.n_buses)
+        return cls(
+            np.zeros((n_steps, network.n_lines), dtype=bool),
+            np.zeros(at_buses, dtype=int),
+            np.zeros(at_buses, dtype=bool),
+            np.zeros(at_buses, dtype=int),
+            np.zeros((n_steps, n_batteries), dtype=bool),
+        )
 
-    def followed_by_one(self, n_steps: int) -> Sections:
-        """Append steps in which the feeder is one part with the grid."""
+    def steps(self, steps: slice) -> Parts:
+        """Some of the steps."""
+        return Parts(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+    def followed_by_one(self, n_steps: int) -> Parts:
+        """Append steps in which the feeder is one part, that of the grid."""
         values = (getattr(self, f.name) for f in fields(self))
-        return Sections(*(np.pad(v, [(0, n_steps), (0, 0)]) for v in values))
+        return Parts(*(np.pad(v, [(0, n_steps), (0, 0)]) for v in values))
 
     @property
-    def any(self) -> Flags:
-        """Steps in which a line is out, (W,)."""
+    def cut(self) -> Flags:
+        """Steps in which lines are out, (W,)."""
         return np.asarray(self.lines.any(axis=1))
+
+    @property
+    def whole(self) -> bool:
+        """Whether no line is out in any step."""
+        return not self.lines.any()
 
     @property
     def beyond(self) -> Flags:
         """Buses behind a line that is out, (W, N)."""
-        return np.asarray(self.part != 0)
+        return np.asarray(self.of_bus != 0)
 
 
 def at_items(flags: Flags, place: sp.csr_array) -> Flags:
@@ -64,9 +81,9 @@ def at_items(flags: Flags, place: sp.csr_array) -> Flags:
     return np.asarray((place.T @ flags.T.astype(float)).T > 0.0)
 
 
-def sections_of(
+def parts_of(
     site: Site, out: OutOfService, soc: Floats, island: Flags, needs_former: bool
-) -> Sections:
+) -> Parts:
     """Parts of the steps of a window, and which of them nothing forms.
 
     A battery forms a part if it holds energy at first, or has been with the grid before in the
@@ -86,7 +103,9 @@ def sections_of(
         Whether the part with the grid's bus needs a former in these steps too, and only batteries
         are planned to be one, as in physical mode.
     """
-    part = parts_by_bus(site.network, out)
+    if not out.lines.any():
+        return Parts.one(site.network, len(soc), len(island))
+    part = parts_by_bus(site.network, out.lines)
     grid = (part == 0) & ~island[:, None]
     reference = np.where((part == 0) & ~(island[:, None] & needs_former), 0, -1)
     forms = np.zeros((len(part), len(soc)), dtype=bool)
@@ -105,7 +124,7 @@ def sections_of(
                 reference[t, inside & ~held] = at[largest] if formers.any() else number
                 forms[t] |= formers & ~grid[t, at]
     dead = (reference < 0) | out.buses
-    return Sections(out.lines, part, dead, np.where(dead, -1, reference), forms)
+    return Parts(out.lines, part, dead, np.where(dead, -1, reference), forms)
 
 
 def _buses(site: Site, table: str) -> Wholes:

@@ -1,0 +1,142 @@
+"""Days in which switches move: which, when, and what the record says of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vppres import Controller, InputError, RunOptions, run_day
+from vppres.explain.day import explain_day
+from vppres.io import read_scenario, write_scenario
+from vppres.io.find import load_scenario
+from vppres.report.events import events_of
+from vppres.scenario.faults import LineFault
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
+
+PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
+MOVING = replace(PAPER, move_switches=True)
+NOON, HOUR = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
+
+
+def ties(*pairs: tuple[int, int], ohm: float = 0.5, **columns: object) -> Switches:
+    """Open ties between buses."""
+    names = [f"{a}-{b}" for a, b in pairs]
+    first, second = zip(*pairs, strict=True)
+    each = np.full(len(pairs), ohm)
+    kinds, closed = ["tie"] * len(pairs), [False] * len(pairs)
+    return Switches(names, first, second, kinds, closed, r_ohm=each, x_ohm=each, **columns)
+
+
+def with_fault(day: Scenario, switches: Switches, **fault: object) -> Scenario:
+    """The day without its outage, with a fault from 12:00 to 14:00 and its switches."""
+    limit_kw = [np.inf] * day.grid.n_steps
+    found = LineFault(NOON, NOON + 2 * HOUR, **fault)
+    return replace(day, grid_limit_kw=limit_kw, faults=(found,), switches=switches)
+
+
+def test_a_tie_takes_over_behind_a_fault(tiny: Scenario, tmp_path: Path) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=named), ties((3, 4)), line=4)
+    write_scenario(day, tmp_path / "day")
+    run = run_day(read_scenario(tmp_path / "day"), MOVING)
+    assert run.customers["served"].all()
+    assert (run.customers["off_by_fault"] == "").all()
+    assert run.steps["switched"].tolist() == ["", "", "closed 3-4, opened 2-4", "", "", ""]
+    assert run.steps["switching_ahead"].tolist()[:2] == ["closed 3-4, opened 2-4"] * 2
+    assert run.steps["switches_open"].tolist() == ["3-4"] * 2 + ["2-4"] * 4
+    flows = run.lines[run.lines["from_bus"] == 3]["p_ac_kw"].abs() > 1.0
+    assert flows.tolist() == [False] * 2 + [True] * 4
+    still = run_day(day, PAPER)
+    homes = still.customers[still.customers["id"] == "homes"]
+    assert homes["served"].tolist() == [True, True, False, False, True, True]
+
+
+def test_a_day_without_movable_switches_is_that_of_its_tree(tiny: Scenario) -> None:
+    locked = ties((3, 4), locked=["pole on fire"])
+    day = with_fault(tiny, locked, line=4)
+    runs = [run_day(day, options, steps=3) for options in (PAPER, MOVING)]
+    for table in ("steps", "customers", "batteries", "buses", "lines"):
+        one, other = (getattr(run, table) for run in runs)
+        apart = ["solve_s", "solver_s", "compilations"] if table == "steps" else []
+        pd.testing.assert_frame_equal(one.drop(columns=apart), other.drop(columns=apart))
+
+
+def test_two_live_parts_are_joined_only_by_a_switch_that_compares_them(tiny: Scenario) -> None:
+    """The homes are an island from the first step on, and their battery lasts for an hour."""
+    able = {"p_max_kw": [50.0, 50.0], "s_max_kva": [60.0, 60.0], "soc_initial": [0.5, 0.85]}
+    stores = replace(tiny.batteries, grid_forming=[True] * 2, **able)
+    alone = LineFault(tiny.grid.start, tiny.grid.end, line=4)
+    for check in (False, True):
+        day = with_fault(replace(tiny, batteries=stores), ties((3, 4), sync_check=[check]), line=4)
+        run = run_day(replace(day, faults=(alone,)), replace(MOVING, horizon_h=0.0), steps=2)
+        assert run.customers[run.customers["id"] == "homes"]["served"].tolist() == [True, check]
+    assert run.steps["switched"].tolist() == ["", "closed 3-4, opened 2-4"]
+
+
+def test_an_operation_pays_its_price_and_a_day_has_so_many(tiny: Scenario) -> None:
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    for column, value in (("operation_cost", 10.0), ("max_operations_per_day", 0.0)):
+        day = with_fault(replace(tiny, batteries=stores), ties((3, 4), **{column: [value]}), line=4)
+        run = run_day(day, MOVING)
+        assert (run.steps["switched"] == "").all()
+        assert not run.customers["served"].all()
+
+
+def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
+    run = explain_day(run_day(day, MOVING))
+    words = "closing 3-4 serves 1 customer until 14:00"
+    assert run.steps["switching_why"].iloc[2] == words
+    assert "2-4" in run.steps["switching_order"].iloc[2]
+    sentence = f"Closed 3-4, opened 2-4: {words}."
+    assert (2, sentence) in [(event.t, event.words) for event in events_of(run)]
+    told = run.explanations
+    assert told is not None
+    of_steps = told[told["item"] == "step"]["words"].tolist()
+    assert of_steps[2].endswith(sentence)
+    assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
+
+
+def test_words_say_that_no_switch_would_serve_more(tiny: Scenario) -> None:
+    """In the outage at the day's end nothing lies behind a tie that has more."""
+    run = explain_day(run_day(replace(tiny, switches=ties((3, 4))), MOVING))
+    off = ~run.by_step("customers", "served").all(axis=1)
+    assert off.any()
+    assert set(run.steps["switching_why"][off]) == {"no switch would serve more"}
+    told = run.explanations
+    assert told is not None
+    of_steps = told[told["item"] == "step"]["words"][off.tolist()]
+    assert of_steps.str.contains("No switch would serve more.").all()
+
+
+def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:
+    day = with_fault(tiny, ties((3, 4)), line=4)
+    with pytest.raises(InputError, match="are not moved by full-horizon"):
+        run_day(day, replace(MOVING, controller="full-horizon"))
+    with pytest.raises(InputError, match="is not for live controllers"):
+        Controller.of(replace(day, faults=()), MOVING)
+
+
+@pytest.mark.daily
+def test_the_packaged_day_with_a_fault_at_noon(tmp_path: Path) -> None:
+    day = load_scenario("uk-heatwave-2022")
+    five = ((8, 21), (9, 15), (12, 22), (18, 33), (25, 29))
+    fault = LineFault(NOON, NOON + 6 * HOUR, line=7)
+    limit_kw = np.full(day.grid.n_steps, np.inf)
+    day = replace(day, switches=ties(*five, ohm=1.0), faults=(fault,))
+    write_scenario(replace(day, grid_limit_kw=limit_kw), tmp_path / "day")
+    still, moved = (
+        run_day(read_scenario(tmp_path / "day"), RunOptions(mode="paper", move_switches=moves))
+        for moves in (False, True)
+    )
+    assert not still.customers["served"].all()
+    assert moved.customers["served"].all()
+    assert (moved.steps["switched"] != "").sum() == 1
+    assert moved.steps["switched"].iloc[12].endswith("opened 6-7")
+    assert (moved.steps["status"] == "optimal").all()

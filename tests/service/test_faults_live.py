@@ -1,0 +1,199 @@
+"""Faults of lines in the service: reported, changed, repaired, refused, and known after a restart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.faulted import faulted_day
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    Running,
+    client,
+    decided,
+    running,
+    said,
+    site,
+)
+from tests.support.played_service import played
+from vppres import Controller, RunOptions, run_day
+from vppres.scenario.faults import LineFault
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
+from vppres.service.operation.runner import Service
+from vppres.service.simulate import Play
+
+SOON = NOON + pd.Timedelta("10min")
+HOUR = pd.Timedelta("1h")
+BEHIND = "no battery forms the grid behind line 2-4, which is out"
+FAULT = {
+    "type": "fault",
+    "line": "4",
+    "start": "2026-11-21T12:10:00Z",
+    "end": "2026-11-21T14:00:00Z",
+}
+
+
+@pytest.fixture
+def one_former(tiny: Scenario) -> Scenario:
+    """The tiny day in which only the battery at bus 2 forms a grid."""
+    return replace(tiny, batteries=replace(tiny.batteries, grid_forming=[True, False]))
+
+
+@pytest.fixture
+def live(one_former: Scenario, tmp_path: Path) -> Iterator[Running]:
+    """A service that has decided the step of noon; it is 12:10."""
+    with running(one_former, tmp_path) as (http, clock, runner):
+        decided(http, clock, NOON)
+        clock.set(SOON)
+        yield http, clock, runner
+
+
+def off(plan: dict[str, Any]) -> dict[str, str]:
+    """Customers that are off, and why."""
+    return {k: one["reason"] for k, one in said(plan, "customers").items() if not one["served"]}
+
+
+def alarms(http: Caller) -> dict[str, dict[str, Any]]:
+    """Alarms that are not cleared, by kind."""
+    found = http.get("/v1/alarms").json()["alarms"]
+    return {one["kind"]: one for one in found if not one["cleared_at"]}
+
+
+def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
+    http, _, runner = live
+    assert off(http.get("/v1/plan").json()) == {}
+    assert http.put("/v1/events/feeder-b", FAULT).status == 201
+    assert http.get("/v1/plan").json()["unaware_of"] == ["event feeder-b"]
+    plan = runner.anew()
+    assert plan is not None
+    assert off(plan) == {"homes": f"blacked out: {BEHIND}"}
+    (fault,) = plan["faults"]
+    assert (fault["name"], fault["out"], fault["end"]) == ("line 2-4", True, FAULT["end"])
+    assert plan["ahead"]["served"]["homes"] == [False, True]
+    alarm = alarms(http)["line_out"]
+    words = f"Line 2-4 is out of service until 14:00; homes off supply: {BEHIND}."
+    assert (alarm["text"], alarm["priority"]) == (words, "medium")
+    overview = http.get("/v1/overview").json()["plan"]
+    assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
+
+
+def test_an_island_that_has_too_little_is_no_want_of_grid(tiny: Scenario, tmp_path: Path) -> None:
+    """The battery of the homes forms their part, and gives less than they take."""
+    b = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])
+    with running(replace(tiny, batteries=b), tmp_path) as (http, clock, _):
+        http.put("/v1/events/feeder-b", {**FAULT, "start": "2026-11-21T12:00:00Z"})
+        assert set(off(decided(http, clock, NOON))) == {"homes"}
+        found = alarms(http)
+        words = (
+            "Line 2-4 is out of service until 14:00; homes off supply: too little power or energy"
+        )
+        assert found["line_out"]["text"] == f"{words} behind it."
+        assert "off_with_grid" not in found
+        first = found["line_out"]["raised_at"]
+        decided(http, clock, NOON + HOUR)
+        assert (
+            alarms(http)["line_out"]["raised_at"] == first
+        )  # it is one alarm for as long as it lasts
+
+
+def test_its_end_may_change_and_it_may_be_repaired_early(live: Running) -> None:
+    http, clock, runner = live
+    http.put("/v1/events/feeder-b", {**FAULT, "end": None})
+    plan = runner.anew()
+    assert plan is not None
+    assert plan["ahead"]["served"]["homes"] == [False, False]
+    http.put("/v1/events/feeder-b", FAULT)
+    assert off(decided(http, clock, NOON + HOUR)) == {"homes": f"blacked out: {BEHIND}"}
+    clock.set(NOON + HOUR + pd.Timedelta("20min"))
+    repaired = {**FAULT, "end": "2026-11-21T13:20:00Z"}
+    assert http.put("/v1/events/feeder-b", repaired).status == 200
+    plan = runner.anew()
+    assert plan is not None
+    assert off(plan) == {}
+    assert "faults" not in plan
+    assert "line_out" not in alarms(http)
+
+
+def test_a_fault_that_is_withdrawn_is_none(live: Running) -> None:
+    http, clock, runner = live
+    http.put("/v1/events/bus", {"type": "fault", "bus": 4, "start": FAULT["start"]})
+    plan = runner.anew()
+    assert plan is not None
+    assert off(plan) == {"homes": "blacked out: bus 4 is out"}
+    clock.set(SOON + pd.Timedelta("5min"))
+    assert http.delete("/v1/events/bus").status == 200
+    again = runner.anew()
+    assert again is not None
+    assert off(again) == {}
+
+
+@pytest.mark.parametrize(("place", "words"), [
+    ({"line": "44"}, "event, line = 44: is not a bus of the feeder. Did you mean 4?"),
+    ({"bus": 1}, "event, bus = 1: is the bus of the grid. Put an event outage, or give another bus."),
+    ({}, "names not one place. Give line, the bus that it feeds, or bus"),
+    ({"line": "4", "bus": "3"}, "names not one place. Give line, the bus that it feeds, or bus"),
+])  # fmt: skip
+def test_what_is_not_there_is_refused_once(
+    live: Running, place: dict[str, Any], words: str
+) -> None:
+    http, _, runner = live
+    answer = http.put("/v1/events/x", {"type": "fault", "start": FAULT["start"], **place})
+    assert answer.status == 422
+    assert str(answer.json()).count(words) == 1
+    assert http.get("/v1/events").json() == {}
+    assert runner.anew() is None
+
+
+def test_a_step_by_rule_knows_the_parts(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    http, clock, _ = live
+    http.put("/v1/events/feeder-b", FAULT)
+    monkeypatch.setattr(Controller, "step", lambda *_: 1 / 0)
+    plan = decided(http, clock, NOON + HOUR)
+    assert plan["status"] == "failed"
+    assert set(off(plan)) == {"homes"}
+    assert [one["name"] for one in plan["faults"]] == ["line 2-4"]
+
+
+def test_a_fault_is_known_after_a_restart(one_former: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    service = Service(site(one_former), HERE)
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/feeder-b", FAULT)
+        assert set(off(decided(http, clock, NOON))) == {"homes"}
+    with client(service, tmp_path, clock) as http:
+        assert set(off(decided(http, clock, NOON + HOUR))) == {"homes"}
+        assert off(decided(http, clock, NOON + 2 * HOUR)) == {}
+
+
+def test_faults_of_the_folder_are_known(one_former: Scenario, tmp_path: Path) -> None:
+    fault = LineFault(NOON + HOUR, NOON + 2 * HOUR, line=4)
+    clock = SetClock(NOON)
+    with client(Service(replace(site(one_former), faults=(fault,)), HERE), tmp_path, clock) as http:
+        plan = decided(http, clock, NOON)
+        assert plan["ahead"]["served"]["homes"] == [False, True]
+        assert [one["out"] for one in plan["faults"]] == [False]
+        assert set(off(decided(http, clock, NOON + HOUR))) == {"homes"}
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", range(20))
+def test_a_simulated_day_is_played_by_reports(seed: int, tmp_path: Path) -> None:
+    """The service knows the day, but of faults only what is reported to it."""
+    day = faulted_day(seed)
+    options = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
+    run = run_day(day, options)
+    service = Service(replace(day, faults=()), options, rehearsal=True)
+    player = played(service, day, tmp_path, Play())
+    assert player.tally.statuses == {"ok": day.grid.n_steps}
+    for t, record in enumerate(player.world.records):
+        assert record.customers["served"].tolist() == run.by_step("customers", "served")[t].tolist()
+        why = run.by_step("customers", "off_by_fault")[t].tolist()
+        assert record.customers["off_by_fault"].tolist() == why

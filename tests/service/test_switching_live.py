@@ -1,0 +1,133 @@
+"""Switches of a service: one operation at a time, confirmed by an operator and by telemetry."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.support.live_service import HERE, NOON, Live
+from tests.support.live_service import client as asked
+from tests.support.switching_service import confirm, read, switched, want
+from tests.support.three_phases import three_phases
+from vppres.service.clock import SetClock, written
+from vppres.service.operation.runner import Service
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    clock = SetClock(NOON)
+    with asked(Service(switched(), HERE, paced=True), tmp_path / "db", clock) as http:
+        yield http, clock
+
+
+def test_the_next_operation_comes_after_telemetry_has_confirmed_the_one_before(
+    live: Live,
+) -> None:
+    http, clock = live
+    read(http, clock, t=0, s=1)
+    told = want(http, t=True, s=False).json()
+    assert (told["status"], told["next"], told["issued"]) == ("confirm", "t", None)
+    assert told["operations"][0].startswith("close t: it closes a loop and carries ")
+    assert told["operations"][1].startswith("open s: it opens the loop; ")
+    # The second is not confirmed before the first.
+    refused = confirm(http, "s")
+    assert (
+        refused.status == 422
+        and "is not the switch of the next operation" in refused.content.decode()
+    )
+    told = confirm(http, "t").json()
+    assert (told["status"], told["next"]) == ("waiting", None)
+    until = written(NOON + pd.Timedelta(minutes=25))
+    now = written(NOON)
+    assert told["issued"] == {"switch": "t", "closed": True, "confirmed_at": now, "until": until}
+    # Nor while the first is not seen.
+    assert confirm(http, "s").status == 422
+    clock.set(NOON + pd.Timedelta(minutes=3))
+    read(http, clock, t=1)
+    told = http.get("/v1/switching").json()
+    assert (told["status"], told["next"], told["unlike_plans"]) == ("confirm", "s", ["t"])
+    assert confirm(http, "s").json()["issued"]["switch"] == "s"
+    read(http, clock, s=0)
+    told = http.get("/v1/switching").json()
+    assert (told["status"], told["issued"], told["read"]) == ("done", None, {"t": True, "s": False})
+    # Whoever moves a switch by hand later is not taken for a late device.
+    clock.set(NOON + pd.Timedelta(hours=2))
+    read(http, clock, s=1)
+    assert http.get("/v1/switching").json()["status"] == "confirm"
+
+
+def test_an_operation_that_is_not_seen_in_time_stops_the_order(live: Live) -> None:
+    http, clock = live
+    read(http, clock, t=0, s=1)
+    want(http, t=True, s=False)
+    confirm(http, "t")
+    # It is on its way, whatever is asked for meanwhile.
+    assert want(http, t=False, s=True).json()["status"] == "waiting"
+    assert http.delete("/v1/switching").json()["issued"]["switch"] == "t"
+    want(http, t=True, s=False)
+    clock.set(NOON + pd.Timedelta(minutes=25))
+    told = http.get("/v1/switching").json()
+    assert told["status"] == "stopped" and told["operations"] == []
+    assert told["reason"].startswith("t did not read closed by 2026-11-21T12:25:00Z.")
+    assert confirm(http, "s").status == 422
+    assert want(http, t=True, s=False).json()["status"] == "confirm"
+    assert http.delete("/v1/switching").json()["status"] == "none"
+
+
+def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Path) -> None:
+    day = switched(locked=["men at work", ""])
+    with asked(Service(day, HERE, paced=True), tmp_path / "db", SetClock(NOON)) as http:
+        unknown = want(http, T=True)
+        assert unknown.status == 422 and "is no switch of the site" in unknown.content.decode()
+        unread = want(http, t=True)
+        assert unread.status == 422 and "has no reading of its state" in unread.content.decode()
+        read(http, SetClock(NOON), t=0, s=1)
+        locked = want(http, t=True, s=False)
+        assert locked.status == 422 and "t is locked: men at work." in locked.content.decode()
+        loop = want(http, t=True)
+        assert loop.status == 422 and "t is locked" in loop.content.decode()
+        # A grid that is lost, by the plan or by a reading.
+        grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "start": written(NOON),
+                "resolution": "PT1H", "values": [0]}  # fmt: skip
+        http.post("/v1/telemetry", {"series": [grid]})
+        lost = want(http, s=False)
+        assert lost.status == 422 and "The grid is lost" in lost.content.decode()
+        assert http.get("/v1/switching").json()["status"] == "none"
+
+
+def test_switches_of_feeders_with_phases_are_refused(tmp_path: Path) -> None:
+    day = three_phases(switched())
+    options = replace(HERE, mode="physical")
+    with asked(Service(day, options, paced=True), tmp_path / "db", SetClock(NOON)) as http:
+        assert http.get("/v1/switching").json()["status"] == "none"
+        read(http, SetClock(NOON), s=1)
+        assert "keeps its phases" in want(http, s=False).content.decode()
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seen", ["seen", "unseen"])
+def test_a_service_killed_between_two_operations_goes_on_from_what_is_read(
+    tmp_path: Path, seen: str
+) -> None:
+    """Killed with -9 after the first operation was confirmed, before or after it was read."""
+    root = Path(__file__).parents[2]
+    module = "tests.support.switching_service"
+    words = [sys.executable, "-m", module, str(tmp_path / "db"), seen]
+    assert subprocess.run(words, cwd=root, timeout=120, check=False).returncode == -9
+    clock = SetClock(NOON + pd.Timedelta(minutes=2))
+    with asked(Service(switched(), HERE, paced=True), tmp_path / "db", clock) as http:
+        told = http.get("/v1/switching").json()
+        if seen == "seen":
+            assert (told["status"], told["next"], told["read"]["t"]) == ("confirm", "s", True)
+        else:
+            assert (told["status"], told["issued"]["switch"]) == ("waiting", "t")
+            read(http, clock, t=1)
+        # Meanwhile somebody opened the switch by hand: nothing is left to be done.
+        read(http, clock, s=0)
+        assert http.get("/v1/switching").json()["status"] == "done"

@@ -1,0 +1,1 @@
+"""Batteries: powers that they can have, and the charge that these leave."""

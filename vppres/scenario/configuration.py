@@ -1,0 +1,291 @@
+"""Configurations of a feeder: which of its lines and ties are closed.
+
+A configuration has no loop. Lines and ties together are the *branches*: the lines of the network in
+its order, and after them the open switches of the scenario. A line that is out by a fault counts as
+it was before: closed, it carries again when it is repaired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
+from vppres.core.text import named
+from vppres.scenario.faults import LineFault, OutOfService
+from vppres.scenario.network import LINE_DEFAULTS, Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import OF_THE_LINE, Switches
+
+OF_MOVES = ("operation_cost", "max_operations_per_day", "parallel_allowed", "sync_check")
+"""Columns of switches that say what an operation costs and when it is allowed."""
+
+NO_SWITCH = {
+    "operation_cost": 0.0,
+    "max_operations_per_day": np.inf,
+    "parallel_allowed": False,
+    "sync_check": False,
+}
+"""The same of a line without a switch, which a fault opens and a crew closes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Lines and open ties of a scenario, (E,) each.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day, in the configuration in which it begins.
+    """
+
+    scenario: Scenario
+
+    @cached_property
+    def _ties(self) -> Switches:
+        switches = self.scenario.switches
+        return switches.rows(~switches.closed)
+
+    def __len__(self) -> int:
+        return self.scenario.network.n_lines + len(self._ties)
+
+    @cached_property
+    def closed(self) -> Flags:
+        """The configuration in which the day begins."""
+        return freeze(np.arange(len(self)) < self.scenario.network.n_lines)
+
+    @cached_property
+    def switch(self) -> Wholes:
+        """Row of the switch of each branch; -1 for lines without one."""
+        net, switches = self.scenario.network, self.scenario.switches
+        on_line = {
+            frozenset((switches.from_bus[i], switches.to_bus[i])): int(i)
+            for i in np.flatnonzero(switches.closed)
+        }
+        ends = map(frozenset, zip(net.from_bus, net.to_bus, strict=True))
+        of_lines = [on_line.get(pair, -1) for pair in ends]
+        return freeze(np.array([*of_lines, *np.flatnonzero(~switches.closed)], dtype=int))
+
+    def of_line(self, name: str) -> Any:
+        """A column that lines and open switches have, with the lines' default for switches."""
+        net = self.scenario.network
+        more = getattr(self._ties, name, None)
+        if more is None:
+            more = np.full(len(self._ties), LINE_DEFAULTS[name])
+        return np.append(getattr(net, name), more)
+
+    def of_moves(self, name: str) -> Any:
+        """A column of switches on operations, one of ``OF_MOVES``."""
+        values = np.append(getattr(self.scenario.switches, name), [NO_SWITCH[name]])
+        return values[self.switch]
+
+    @cached_property
+    def from_bus(self) -> Names:
+        """First ends."""
+        return np.asarray(self.of_line("from_bus"))
+
+    @cached_property
+    def to_bus(self) -> Names:
+        """Second ends."""
+        return np.asarray(self.of_line("to_bus"))
+
+    @cached_property
+    def rating_a(self) -> Floats:
+        """Thermal ratings in A, infinite where there is none."""
+        return np.asarray(self.of_line("i_max_a"), dtype=float)
+
+    @cached_property
+    def ends(self) -> Wholes:
+        """Positions of the buses at both ends, (E, 2)."""
+        index = self.scenario.network.bus_index
+        pairs = zip(self.from_bus, self.to_bus, strict=True)
+        return np.array([(index[a], index[b]) for a, b in pairs], dtype=int).reshape(-1, 2)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names: those of the switches, or both buses."""
+        ids = self.scenario.switches.id
+        pairs = zip(self.switch, self.from_bus, self.to_bus, strict=True)
+        return tuple(f"{a}-{b}" if i < 0 else str(ids[i]) for i, a, b in pairs)
+
+    def movable(self, open_now: Flags, out: OutOfService) -> Flags:
+        """Branches that may change their state in a window.
+
+        Those with a switch that is operable and not locked. A line that a fault takes out in the
+        window is opened by it, and one that was left open is closed by the crew that repaired it.
+
+        Parameters
+        ----------
+        open_now : array of bool, shape (E,)
+            Branches that are open at its beginning.
+        out : OutOfService
+            Lines and buses that are out in the window, in the scenario's own order.
+        """
+        switches, net = self.scenario.switches, self.scenario.network
+        able = np.append(switches.movable, False)[self.switch]
+        opened = np.zeros(len(self), dtype=bool)
+        opened[: net.n_lines] = out.lines.any(axis=0)
+        opened |= open_now & self.closed
+        unlocked = np.append(switches.locked == "", True)[self.switch]
+        ratio = np.append(net.ratio != 1.0, np.zeros(len(self._ties), dtype=bool))
+        return np.asarray((able | (opened & unlocked)) & ~ratio)
+
+    def moves(self, before: Flags, after: Flags) -> str:
+        """Operations between two configurations, in words.
+
+        >>> from vppres.io.find import load_scenario
+        >>> branches = Branches(load_scenario("uk-heatwave-2022"))
+        >>> branches.moves(branches.closed, branches.closed & (np.arange(32) != 5))
+        'opened 19-20'
+        """
+        words = []
+        for verb, which in (("closed", after & ~before), ("opened", before & ~after)):
+            if which.any():
+                words.append(f"{verb} {named([self.names[i] for i in np.flatnonzero(which)])}")
+        return ", ".join(words)
+
+    def open_names(self, closed: Flags) -> str:
+        """Names of the branches that are open, in words."""
+        return ", ".join(self.names[i] for i in np.flatnonzero(~closed))
+
+
+def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
+    """Number of the block of each bus that closed branches join, (N,); None if they have a loop.
+
+    The number is the first bus of the block.
+
+    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.array([True, True, False]), 3).tolist()
+    [0, 0, 0]
+    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.ones(3, dtype=bool), 3) is None
+    True
+    """
+    first = list(range(n_buses))
+
+    def root(bus: int) -> int:
+        while first[bus] != bus:
+            first[bus] = first[first[bus]]
+            bus = first[bus]
+        return bus
+
+    for a, b in ends[closed].tolist():
+        one, other = sorted((root(a), root(b)))
+        if one == other:
+            return None
+        first[other] = one
+    return np.array([root(bus) for bus in range(n_buses)])
+
+
+@dataclass(frozen=True, eq=False)
+class Configured:
+    """A scenario in a configuration, and where its buses and lines stand in the day's own order.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day whose network is a tree with all closed branches. What else the tree needs is open:
+        lines that are out all day.
+    buses : array of int, shape (N,)
+        Position in the tree of each bus of the day.
+    lines : array of int, shape (E,)
+        Line of the tree that each branch is; -1 if it is none.
+    sign : array of float, shape (E,)
+        -1 where the tree has the branch the other way round.
+    """
+
+    scenario: Scenario
+    buses: Wholes
+    lines: Wholes
+    sign: Floats
+
+    def at_buses(self, values: Any) -> Any:
+        """Values of the tree's buses, (..., N), in the order of the day."""
+        return values[..., self.buses]
+
+    def at_branches(self, first: Floats, second: Floats | None = None) -> Floats:
+        """Flows at the first ends of the tree's lines, (L,), at the first ends of branches, (E,).
+
+        ``second`` are flows that arrive at their second ends, equal to the first if not given. Open
+        branches have none.
+        """
+        arriving = first if second is None else second
+        at_end = np.where(self.sign > 0, first[self.lines], -arriving[self.lines])
+        return np.where(self.lines >= 0, at_end, 0.0)
+
+
+def in_configuration(branches: Branches, closed: Flags) -> Configured:
+    """The day in a configuration.
+
+    Parameters
+    ----------
+    branches : Branches
+        Lines and ties of the day.
+    closed : array of bool, shape (E,)
+        Those that are closed, without a loop.
+
+    Raises
+    ------
+    ValueError
+        If they have a loop.
+    """
+    day = branches.scenario
+    net = day.network
+    n_buses = net.n_buses
+    if np.array_equal(closed, branches.closed):
+        lines = np.where(closed, np.arange(len(branches)), -1)
+        return Configured(day, np.arange(n_buses), lines, np.ones(len(branches)))
+    chosen = _tree(branches.ends, closed, n_buses)
+    columns: dict[str, Any] = {
+        name: branches.of_line(name)[chosen]
+        for name in ("from_bus", "to_bus", *OF_THE_LINE, *LINE_DEFAULTS)
+    }
+    tree = replace(net, **columns)
+    fed = {
+        frozenset(pair): i for i, pair in enumerate(zip(tree.from_bus, tree.to_bus, strict=True))
+    }
+    lines = np.full(len(branches), -1)
+    lines[chosen] = [
+        fed[frozenset((branches.from_bus[e], branches.to_bus[e]))] for e in chosen.tolist()
+    ]
+    turned = tree.from_bus[lines] != branches.from_bus
+    changed = replace(
+        day,
+        network=tree,
+        switches=Switches.none(),
+        faults=tuple(_faults_of(branches, closed, tree, lines)),
+    )
+    buses = np.array([tree.bus_index[bus] for bus in net.buses])
+    sign = np.where((lines >= 0) & turned, -1.0, 1.0)
+    return Configured(changed, buses, lines, sign)
+
+
+def _tree(ends: Wholes, closed: Flags, n_buses: int) -> Wholes:
+    """Closed branches, and the first others that join what they leave apart, in order."""
+    if blocks_of(ends, closed, n_buses) is None:
+        raise ValueError("closed branches have a loop")
+    chosen = closed.copy()
+    for branch in np.flatnonzero(~closed):
+        chosen[branch] = True
+        if chosen.sum() >= n_buses or blocks_of(ends, chosen, n_buses) is None:
+            chosen[branch] = False
+    return np.flatnonzero(chosen)
+
+
+def _faults_of(
+    branches: Branches, closed: Flags, tree: Network, lines: Wholes
+) -> Iterator[LineFault]:
+    """Faults of closed lines and of buses, and open branches of the tree as lines that are out."""
+    day = branches.scenario
+    for fault in day.faults:
+        if fault.line is None:
+            yield fault
+            continue
+        line = fault.at(day.network) - 1
+        if closed[line]:
+            yield replace(fault, line=tree.to_bus[lines[line]])
+    grid = day.grid
+    for branch in np.flatnonzero(~closed & (lines >= 0)):
+        yield LineFault(grid.start, grid.end, line=tree.to_bus[lines[branch]])
