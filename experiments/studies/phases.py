@@ -84,14 +84,13 @@ def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 
-    from vppres.feeders.dss import commands, elements, engine, nodes, script
+    from vppres.feeders.dss import engine, script
 
-    sys.modules |= {"dss/commands": commands, "dss/elements": elements, "dss/nodes": nodes}
-    engine._elements.cache_clear()
-    assert not engine.build({**script.read_script(file).job(), "open_deltas": True})
-    engine.settled()
+    circuit, problems = engine.build({**script.read_script(file).job(), "open_deltas": True})
+    assert not problems
+    engine.settled(circuit)
     for kind in ("load", "generator", "pvsystem"):
-        for element in list(engine._of(kind)):
+        for element in circuit.of(kind):
             dss.Circuit.Disable(f"{kind}.{element}")
     dss.Text.Command("set controlmode=off")
     dss.Solution.Solve()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.phased_feeder import STREET
 from vppres.cli.tables import content_of
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import cautions
@@ -22,7 +25,7 @@ from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
-from vppres.scenario.scenario import HARD, SOFT, Scenario
+from vppres.scenario.scenario import HARD, LIMIT, REPORT, SOFT, Scenario
 
 STEPS = slice(3, 5)
 OUTAGE = (pd.Timestamp("2025-07-01T00:00Z"), pd.Timestamp("2025-07-01T04:00Z"))
@@ -154,3 +157,44 @@ def test_validate_says_where_the_feeder_leaves_its_limits() -> None:
     hard = replace(weak_feeder().controller, voltage_limits=HARD)
     day = replace(weak_feeder(), controller=hard)
     assert "customers may be switched off" in content_of(day)["remarks"][0]
+
+
+def narrow_street(folder: Path) -> Scenario:
+    """Evening hours of three phases, of which one carries more than the rating of its line."""
+    file = folder / "street.dss"
+    file.write_text(STREET.replace("units=km\nnew load.a", "units=km normamps=14\nnew load.a"))
+    rules = NewScenarioOptions(pv="none", draw_tiers=True)
+    return new_scenario(import_network(file), rules).between(18, 20)
+
+
+def narrow_line(_: Path) -> Scenario:
+    """Two steps of 33 buses, the last of whose lines carries more than its rating."""
+    day = weak_feeder()
+    i_max_a = np.full(day.network.n_lines, np.inf)
+    i_max_a[day.network.bus_index[18] - 1] = 1.0
+    return replace(day, network=replace(day.network, i_max_a=i_max_a))
+
+
+@pytest.mark.parametrize(
+    ("made", "where"),
+    [
+        (narrow_street, "line from m to n, phase b"),
+        pytest.param(narrow_line, "line from 17 to 18", marks=pytest.mark.daily),
+    ],
+)
+def test_a_rating_that_is_exceeded_without_control_is_told_before_customers_are_off_for_it(
+    made: Callable[[Path], Scenario], where: str, tmp_path: Path
+) -> None:
+    """Batteries and PV power cannot help; the grid is on, and customers are off for it alone."""
+    day = made(tmp_path)
+    said = [words for words in content_of(day)["remarks"] if "of its rating" in words]
+    assert len(said) == 1 and said[0].startswith(f"Without control {where} carries ")
+    assert "exceeded in 2 of 2 steps with grid" in said[0]
+    options = RunOptions(horizon_h=0.0, mode="physical")
+    limited, reported = (
+        run_day(day, replace(options, ratings=ratings)) for ratings in (LIMIT, REPORT)
+    )
+    assert not limited.customers["served"].all()
+    assert reported.customers["served"].all()
+    rated = replace(day, controller=replace(day.controller, ratings=REPORT))
+    assert not [words for words in content_of(rated)["remarks"] if "of its rating" in words]

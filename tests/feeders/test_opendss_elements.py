@@ -72,7 +72,7 @@ def apart(feeder: ImportedFeeder, file: Path) -> float:
             bus: np.mean([v for name, v in theirs.items() if name.partition(".")[0] == bus])
             for bus in buses
         }
-        return max(abs(own[bus] - v) for bus, v in means.items())
+        return float(max(abs(own[bus] - v) for bus, v in means.items()))
     return max(abs(own[name] - theirs[name]) for name in own if name in theirs)
 
 
@@ -267,6 +267,35 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
     assert feeder.phased is not None and feeder.phased.difference_pu is not None
     assert feeder.phased.difference_pu < CLOSE_PU
     assert apart(feeder, file) < CLOSE_PU
+
+
+OUT_OF_LIMITS: dict[str, tuple[tuple[str, ...], str]] = {
+    "kv between lines at one phase": (
+        (*BASE, "new load.e bus1=b.3 phases=1 kv=4.16 kw=30"),
+        "draw 10.42 kW instead of 30 kW: load.e (0.580 pu)",
+    ),
+    "a tap of 1.3": (
+        (HEAD, f"{BANK} wdg=2 tap=1.3", LINE, *LOADS),
+        "draw 283.8 kW instead of 180 kW: load.a (1.297 pu), load.b (1.313 pu)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OUT_OF_LIMITS)
+def test_loads_outside_their_limits_of_voltage_are_all_that_differs(
+    name: str, tmp_path: Path
+) -> None:
+    """OpenDSS makes impedances of them: told with what they draw, and equal without the limits."""
+    lines, told = OUT_OF_LIMITS[name]
+    phased = import_network(written(tmp_path, lines)).phased
+    assert phased is not None and phased.difference_pu is not None
+    assert phased.difference_pu > 4e-3
+    assert len(phased.causes) == 1 and phased.causes[0].endswith(told)
+    for cured in ("model=2", "vminpu=.05 vmaxpu=2"):
+        file = written(tmp_path, (*lines, f"batchedit load..* {cured}"))
+        feeder = import_network(file)
+        assert feeder.phased is not None and not feeder.phased.causes
+        assert apart(feeder, file) < CLOSE_PU
 
 
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"

@@ -5,12 +5,26 @@ Controls stand where the circuit's own solution leaves them.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import opendssdirect as dss
+
+from vppres.core.units import US_PER_S
+from vppres.feeders.dss import engine
+from vppres.feeders.dss.elements import (
+    Circuit,
+    ServiceTransformer,
+    Side,
+    TwoPort,
+    Winding,
+    buses_of,
+    matrix,
+    middle,
+    nodes_of,
+)
+from vppres.feeders.dss.nodes import beside, reached, without
 
 PHASES = "abc"
 NEXT, PREVIOUS = ("ab", "bc", "ca"), ("ac", "ba", "cb")
@@ -19,11 +33,7 @@ NEXT, PREVIOUS = ("ab", "bc", "ca"), ("ac", "ba", "cb")
 EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
-ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
-CONSTANT_IMPEDANCE = 2
 SECOND = 2  # winding whose taps a regulator moves
-US_PER_S = 1e6
-V_PER_KV = 1000.0
 SAME = 1e-9
 """Share of an entry by which the two ends of a line may differ and still have the same charging."""
 
@@ -37,76 +47,73 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     The job has the commands of the circuit, and ``disabled``: elements that are out of service. Of
     these, ``kept`` are those without which a conductor that the source supplies would have none.
     """
-    engine: Any = sys.modules["dss/engine"]
-    problems = engine.build({**job, "open_deltas": True})
+    circuit, problems = engine.build({**job, "open_deltas": True})
     if problems:
         return {"problems": problems}
-    engine.settled()
-    kept = _needed(job["disabled"], engine) if job["disabled"] else []
+    engine.settled(circuit)
+    kept = _needed(job["disabled"], circuit) if job["disabled"] else []
     for element in job["disabled"]:
         if element not in kept:
             dss.Circuit.Disable(element)
-    engine._elements.cache_clear()
+    circuit.find_elements()
     solved = engine.solved_by_phase()
     refused: Refused = []
-    own = _Matrices(engine, refused)
+    own = _Matrices(circuit, refused)
     tables = {
         "kept": kept,
         "source": _source(refused),
         "lines": own.lines,
-        "transformers": [_transformer(name, engine, own) for name in engine._of("transformer")],
+        "transformers": [_transformer(name, circuit, own) for name in circuit.of("transformer")],
         "shunts": own.shunts(),
         "buses": [
-            *(_bus(bus, engine, own.taken, refused) for bus in dss.Circuit.AllBusNames()),
-            *_stars(engine),
+            *(_bus(bus, circuit, own.taken, refused) for bus in dss.Circuit.AllBusNames()),
+            *_stars(circuit),
         ],
-        "powers": [] if refused else list(_powers(engine, solved, refused)),
-        "causes": [words for _, words in sorted(engine.beyond())] if solved else [],
+        "powers": [] if refused else list(_powers(circuit, solved, refused)),
+        "causes": [words for _, words in sorted(engine.beyond(circuit))] if solved else [],
     }
-    v_pu = _voltages(engine) if solved and not refused else {}
+    v_pu = _voltages(circuit) if solved and not refused else {}
     return {"problems": refused, **tables, "v_pu": v_pu}
 
 
-def _needed(disabled: list[str], engine: Any) -> list[str]:
+def _needed(disabled: list[str], circuit: Circuit) -> list[str]:
     """Elements that close a loop of buses, but of no conductor."""
     joined: dict[str, list[tuple[Any, ...]]] = {}
     for kind in ("line", "reactor", "capacitor", "transformer"):
-        for name in engine._of(kind):
-            nodes = [tuple(engine.elements().admittance()[0])] if kind == "transformer" else []
-            joined[f"{kind}.{name}"] = nodes or engine.elements().joined()
-    module = engine.elements().nodes()
+        for name in circuit.of(kind):
+            nodes = [tuple(circuit.admittance()[0])] if kind == "transformer" else []
+            joined[f"{kind}.{name}"] = nodes or circuit.joined()
     groups = [group for element, own in joined.items() if element not in disabled for group in own]
     kept = []
     for element in disabled:
         own = joined.get(element, [])
-        known = module.beside(groups)
-        if any({*group} - {*module.reached(group[0], known)} for group in own):
+        known = beside(groups)
+        if any({*group} - {*reached(group[0], known)} for group in own):
             kept.append(element)
             groups += own
     return kept
 
 
-def _voltages(engine: Any) -> dict[str, float]:
+def _voltages(circuit: Circuit) -> dict[str, float]:
     """Voltage to ground of each node in pu in the last solution; of legs, from one to the other."""
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
     found = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
-    legs = engine.elements().LEGS
+    legs = circuit.legs
     found = {name: v for name, v in found.items() if name.rpartition(".")[0] not in legs}
-    for bus, (phase, _) in legs.items():
-        across = abs(engine.from_leg_to_leg(bus))
-        found[f"{bus}.{phase}"] = across / (2.0 * V_PER_KV * dss.Bus.kVBase())
-    return found
+    return found | {f"{bus}.{phase}": circuit.legs_pu(bus) for bus, (phase, _) in legs.items()}
 
 
 def _refuse(refused: Refused, element: str, what: str, cure: str) -> None:
-    refused.append({"message": f"{element} {what}", "cure": cure, "command": None})
+    refused.append(engine.wrong(f"{element} {what}", cure))
 
 
-def _bus(bus: str, engine: Any, taken: set[tuple[str, int]], refused: Refused) -> dict[str, Any]:
+def _bus(
+    bus: str, circuit: Circuit, taken: set[tuple[str, int]], refused: Refused
+) -> dict[str, Any]:
     """Phases and nominal voltage between lines of a bus."""
-    kv = engine._base_kv(bus)
-    if bus in engine.elements().LEGS:
-        return {"bus": bus, "kv": kv, "phases": [PHASES[engine.elements().LEGS[bus][0] - 1]]}
+    kv = circuit.base_kv(bus)
+    if bus in circuit.legs:
+        return {"bus": bus, "kv": kv, "phases": [PHASES[circuit.legs[bus][0] - 1]]}
     nodes = sorted(dss.Bus.Nodes())
     beside = [node for node in nodes if node > len(PHASES) and (bus, node) in taken]
     if beside:
@@ -120,18 +127,18 @@ def _bus(bus: str, engine: Any, taken: set[tuple[str, int]], refused: Refused) -
     return {"bus": bus, "kv": kv, "phases": words}
 
 
-def _stars(engine: Any) -> Iterator[dict[str, Any]]:
+def _stars(circuit: Circuit) -> Iterator[dict[str, Any]]:
     """Buses that are the star of transformers with three windings."""
     at: dict[str, set[int]] = {}
-    for star, phases in engine.elements().STARS.values():
+    for star, phases in circuit.stars.values():
         at.setdefault(star, set()).update(phases)
-    for star, kv in engine._stars().items():
+    for star, kv in engine.stars_kv(circuit).items():
         yield {"bus": star, "kv": kv, "phases": [PHASES[node - 1] for node in sorted(at[star])]}
 
 
 def _nodes() -> list[tuple[str, int]]:
     """Bus and phase of each conductor of the active element; phase -1 is ground."""
-    return [(bus, node - 1) for bus, node in sys.modules["dss/elements"].nodes_of()]
+    return [(bus, node - 1) for bus, node in nodes_of()]
 
 
 def _complex(matrix: Any) -> dict[str, Any]:
@@ -144,22 +151,22 @@ class _Matrices:
     ``users`` has what else is connected to each neutral.
     """
 
-    def __init__(self, engine: Any, refused: Refused) -> None:
-        self.elements = engine.elements()
+    def __init__(self, circuit: Circuit, refused: Refused) -> None:
+        self.circuit = circuit
         self.lines: Table = []
         self.at_bus: dict[tuple[str, bool], dict[tuple[int, int], complex]] = {}
         self.users: dict[tuple[str, int], set[str]] = {}
         for kind in ("line", "reactor", "capacitor"):
-            for name in engine._of(kind):
+            for name in circuit.of(kind):
                 amps = engine.rated_amps(dss.CktElement.NormalAmps()) if kind == "line" else None
                 self._add(f"{kind}.{name}", kind != "line", amps, refused)
         for kind in ("transformer", *engine.POWERS):
-            for name in engine._of(kind):
-                self._take(f"{kind}.{name}", self.elements.nodes_of())
+            for name in circuit.of(kind):
+                self._take(f"{kind}.{name}", nodes_of())
 
     def _take(self, element: str, nodes: list[tuple[str, int]]) -> None:
         for node in nodes:
-            if node[1] > len(PHASES) and node[0] not in self.elements.LEGS:
+            if node[1] > len(PHASES) and node[0] not in self.circuit.legs:
                 self.users.setdefault(node, set()).add(element)
 
     @property
@@ -180,7 +187,7 @@ class _Matrices:
             if each > len(PHASES) and each != own and (bus, each) not in self.users
         ]  # fmt: skip
         if gone:
-            y = self.elements.nodes().without(y, gone)
+            y = without(y, gone)
             nodes = [each for i, each in enumerate(nodes) if i not in gone]
         if own not in nodes:
             return 0j
@@ -196,13 +203,13 @@ class _Matrices:
 
     def _add(self, element: str, switched: bool, amps: float | None, refused: Refused) -> None:
         """One element: a line between two buses, or what it draws at one."""
-        nodes, y = self.elements.admittance()
-        buses = self.elements.buses_of(nodes)
+        nodes, y = self.circuit.admittance()
+        buses = buses_of(nodes)
         if len(buses) > 2:
             _refuse(refused, element, "joins more than two buses", f"Write 'disable {element}'.")
         if len(buses) == 2:
             self._take(element, nodes)
-            port = self.elements.TwoPort(nodes, y)
+            port = TwoPort(self.circuit, nodes, y)
             if port.crossed:
                 _refuse(
                     refused,
@@ -259,7 +266,7 @@ class _Matrices:
             nodes, y = self._sum([sums])
             gone = [i for i, node in enumerate(nodes) if node > len(PHASES)]
             if gone:
-                y = self.elements.nodes().without(y, gone)
+                y = without(y, gone)
             phases = [node - 1 for node in nodes if node <= len(PHASES)]
             found.append({"bus": bus, "phases": phases, "y": _complex(y)})
         return found
@@ -278,7 +285,7 @@ def _source(refused: Refused) -> dict[str, Any]:
     dss.Circuit.SetActiveElement("vsource.source")
     bus = dss.CktElement.BusNames()[0].partition(".")[0].lower()
     phases = [phase for _, phase in _nodes()[:3]]
-    z = np.linalg.inv(sys.modules["dss/elements"].matrix()[:3, :3])
+    z = np.linalg.inv(matrix()[:3, :3])
     dss.Vsources.Name("source")
     dss.Circuit.SetActiveBus(bus)
     base_kv = float(dss.Bus.kVBase() * np.sqrt(3))
@@ -286,33 +293,32 @@ def _source(refused: Refused) -> dict[str, Any]:
     return {"bus": bus, "kv": base_kv, "v_pu": v_pu, "phases": phases, "z": _complex(z)}
 
 
-def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
+def _transformer(name: str, circuit: Circuit, matrices: _Matrices) -> dict[str, Any]:
     """A transformer with the coils that each end may have, and its own matrix.
 
     It has one row for its two windings, or one for each of three and their star.
     """
     element = f"transformer.{name}"
-    if engine.elements().middle() is not None:
+    if middle() is not None:
         dss.Circuit.SetActiveElement(element)
-        return _service(name, engine)
+        return _service(name, circuit)
     dss.Transformers.Name(name)
     dss.Circuit.SetActiveElement(element)
     phases = dss.CktElement.NumPhases()
-    live, y = engine.elements().admittance()
+    live, y = circuit.admittance()
     numbers = range(1, 1 + dss.Transformers.NumWindings())
-    own = [engine.elements().Winding(number) for number in numbers]
+    own = [Winding(number) for number in numbers]
     coils = [_windings([node - 1 for _, node in each.ends], each.delta, phases) for each in own]
     if len(own) == 2:
-        x_pct = float(dss.Transformers.Xhl())
         ppm = engine.number(f"{element}.ppm_antifloat")
-        rows = [_row(name, own[0], own[1], phases, own[0].r_pct + own[1].r_pct, x_pct, ppm)]
-        if engine.regulated().get(name) == SECOND:
+        rows = [_row(name, own, phases, own[0].percent + own[1].r_pct, ppm)]
+        if engine.regulated(circuit).get(name) == SECOND:
             rows[0]["island_tap"] = 1.0
     else:
-        star, at = engine.elements().STARS[name]
-        middle = engine.elements().Star(star, engine._stars()[star] / np.sqrt(3))
+        star, at = circuit.stars[name]
+        center = Side(star, engine.stars_kv(circuit)[star] / np.sqrt(3))
         rows = [
-            _row(f"{name} winding {number}", each, middle, phases, each.r_pct, each.x_pct, 0.0)
+            _row(f"{name} winding {number}", (each, center), phases, each.percent, 0.0)
             for number, each in zip(numbers, own, strict=True)
         ]
         coils.append([" ".join(PHASES[node - 1] for node in at)])
@@ -322,7 +328,7 @@ def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
         y[i, i] += matrices.grounding(node) or 0j
         ground = y[i, [bus == node[0] for bus, _ in live]].sum()
         neutrals.append({"bus": node[0], "z": _complex(1.0 / ground)})
-        y = engine.elements().nodes().without(y, [i])
+        y = without(y, [i])
         live.remove(node)
         for row in rows:
             row["ppm"] = 0.0  # it is in the matrix, that of the neutral too
@@ -336,9 +342,10 @@ def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
 
 
 def _row(
-    name: str, first: Any, second: Any, phases: int, r_pct: float, x_pct: float, ppm: float
+    name: str, sides: Sequence[Side], phases: int, percent: complex, ppm: float
 ) -> dict[str, Any]:
-    """Two windings without their coils."""
+    """Two windings without their coils, with the impedance between them in percent."""
+    first, second = sides
     return {
         "id": name,
         "from_bus": first.bus,
@@ -348,34 +355,20 @@ def _row(
         "to_kv": second.kv,
         "to_tap": second.tap,
         "kva": first.kva / phases,
-        "r_pct": r_pct,
-        "x_pct": x_pct,
+        "r_pct": percent.real,
+        "x_pct": percent.imag,
         "ppm": ppm,
     }
 
 
-def _service(name: str, engine: Any) -> dict[str, Any]:
+def _service(name: str, circuit: Circuit) -> dict[str, Any]:
     """A transformer with its middle at ground, as one coil on each side."""
-    own = engine.elements().ServiceTransformer()
-    (bus, _), _, (end, phase) = own.ends
+    own = ServiceTransformer(circuit)
     words = "".join(PHASES[node - 1] for _, node in own.ends[:2] if node > 0)
-    row = {
-        "id": name,
-        "from_bus": bus,
-        "from_kv": own.kv[0],
-        "from_tap": own.tap[0],
-        "to_bus": end,
-        "to_kv": own.kv[1],
-        "to_tap": own.tap[1],
-        "kva": own.kva,
-        "r_pct": own.percent.real,
-        "x_pct": own.percent.imag,
-        "ppm": 0.0,
-    }
     return {
-        "rows": [row],
+        "rows": [_row(name, own.windings, 1, own.percent, 0.0)],
         "neutrals": [],
-        "coils": [[words, words[::-1]], [PHASES[phase - 1]]],
+        "coils": [[words, words[::-1]], [PHASES[own.ends[2][1] - 1]]],
         "nodes": [(bus, node - 1) for bus, node in own.nodes],
         "y": _complex(own.y),
     }
@@ -411,10 +404,10 @@ def _load_coils(phases: list[int], delta: bool, count: int) -> list[str]:
     return found
 
 
-def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, Any]]:
+def _powers(circuit: Circuit, solved: bool, refused: Refused) -> Iterator[dict[str, Any]]:
     """Loads, generators and batteries with their coils and load models."""
     for kind in engine.POWERS:
-        for name in engine._of(kind):
+        for name in circuit.of(kind):
             element = f"{kind}.{name}"
             n = dss.CktElement.NumPhases()
             ends = _nodes()
@@ -422,7 +415,7 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
             delta = engine.text_of(f"{element}.conn") in ("delta", "ll")
             coils = _load_coils([phase for _, phase in ends], delta, n)
             kv = kv if n == 1 or delta else kv / np.sqrt(3)
-            legs = engine.elements().LEGS.get(ends[0][0])
+            legs = circuit.legs.get(ends[0][0])
             if legs is not None:
                 kv *= 2.0 if max(map(len, coils)) == 1 else 1.0
                 coils = [PHASES[legs[0] - 1]]
@@ -440,19 +433,19 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
 
 def _impedance() -> dict[str, Any]:
     """Power at nominal voltage of the active generator if it is a constant impedance."""
-    if int(dss.Generators.Model()) != CONSTANT_IMPEDANCE:
+    if int(dss.Generators.Model()) != engine.CONSTANT_IMPEDANCE:
         return {}
     # OpenDSS's multiplier of generators does not change it.
     powers = {"p_kw": float(dss.Generators.kW()), "q_kvar": float(dss.Generators.kvar())}
-    return {**powers, "exponents": EXPONENTS[CONSTANT_IMPEDANCE]}
+    return {**powers, "exponents": EXPONENTS[engine.CONSTANT_IMPEDANCE]}
 
 
 def _exponents(name: str, refused: Refused) -> tuple[float, float]:
     """How active and reactive power of a load follow the voltage."""
     dss.Loads.Name(name)
     model = int(dss.Loads.Model())
-    if dss.Solution.LoadModel() == ADMITTANCE:
-        return EXPONENTS[CONSTANT_IMPEDANCE]
+    if dss.Solution.LoadModel() == engine.ADMITTANCE:
+        return EXPONENTS[engine.CONSTANT_IMPEDANCE]
     if model == 4:
         return float(dss.Loads.CVRwatts()), float(dss.Loads.CVRvars())
     if model not in EXPONENTS:

@@ -69,7 +69,7 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
     job = script.job()
     time_limit_s = time_limit_s or dss_script.limit_s(job)
     asked = {**job, "open_deltas": by_phase}
-    found = confined("dss/engine", asked, path.name, time_limit_s)
+    found = confined("dss.engine", asked, path.name, time_limit_s)
     if found["problems"]:
         raise InputError(located(found["problems"], script, path.name))
     net, ids = _build(found)
@@ -215,7 +215,7 @@ class OpenDSSFlow:
             "v_slack_pu": v_slack_pu,
         }
         job = {**self.job, "state": state, "open_deltas": True}
-        return self._by_index(confined("dss/engine", job, self.name, self.time_limit_s)["v_pu"])
+        return self._by_index(confined("dss.engine", job, self.name, self.time_limit_s)["v_pu"])
 
     def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:
         """Voltages by the index of the bus in the net."""

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import opendssdirect as dss
 
+from vppres.feeders.dss.refused import RefusedLine, cut
+
 IDLE = ("monitor", "energymeter", "sensor")
 """Classes that only measure: OpenDSS does not see them."""
 
@@ -49,18 +51,8 @@ COLUMNS = {
 """Properties that the columns of a file are; one column alone is the last but for a spectrum."""
 
 MOST_VALUES = 1_000_000
-SHOWN = 40
 
 Values = list[list[str]]
-
-
-class CommandRefused(Exception):
-    """Why a command is not carried out, and the cure."""
-
-    def __init__(self, message: str, cure: str) -> None:
-        super().__init__(message)
-        self.message = message
-        self.cure = cure
 
 
 class Commands:
@@ -82,7 +74,7 @@ class Commands:
 
         Raises
         ------
-        CommandRefused
+        RefusedLine
             If the command asks for what is not done here.
         """
         self.count += 1
@@ -122,12 +114,12 @@ class Commands:
         if kind in IDLE:
             return ""
         if verb == "batchedit" and not re.fullmatch(r"[\w.*+?\[\]^$|\\-]+", target):
-            raise CommandRefused(
-                f"'{_cut(target)}' is not a pattern", "Write: batchedit class.pattern."
+            raise RefusedLine(
+                f"'{cut(target)}' is not a pattern", "Write: batchedit class.pattern."
             )
         if kind not in _schema():
-            raise CommandRefused(
-                f"'{_cut(kind)}' is not a class of OpenDSS", "Correct it, or remove the element."
+            raise RefusedLine(
+                f"'{cut(kind)}' is not a class of OpenDSS", "Correct it, or remove the element."
             )
         head = verb if verb == "~" else f'{verb} "{target}"'
         if verb == "batchedit":  # a pattern, which no quotes may hold
@@ -141,14 +133,14 @@ class Commands:
             full = _full(name, names) if name else ""
             place = names.index(full) if full else place + 1
             if (name and not full) or place >= len(names):
-                what = f"'{_cut(name)}'" if name else f"the value '{_cut(text)}' beyond its last"
-                raise CommandRefused(
+                what = f"'{cut(name)}'" if name else f"the value '{cut(text)}' beyond its last"
+                raise RefusedLine(
                     f"{kind} has {what}, which is not a property of OpenDSS",
                     "Correct or remove it.",
                 )
             full = names[place]
             if CODE.fullmatch(full):
-                raise CommandRefused(f"{kind} has '{full}', which names code", "Remove it.")
+                raise RefusedLine(f"{kind} has '{full}', which names code", "Remove it.")
             if full == TRACES:
                 continue
             if full in FILES:
@@ -187,12 +179,10 @@ class Commands:
         column = next((parts.pop(key) for key in [*parts] if "column".startswith(key)), "1")
         header = next((parts.pop(key) for key in [*parts] if "header".startswith(key)), "no")
         if name is None or parts or not column.isdecimal():
-            raise CommandRefused(
-                f"'{_cut(text)}' is not a value", "Write numbers, or file=name.csv."
-            )
+            raise RefusedLine(f"'{cut(text)}' is not a value", "Write numbers, or file=name.csv.")
         table = _table(self._content(name), name, header.lower().startswith(("y", "t")))
         if not 1 <= int(column) <= table.shape[1]:
-            raise CommandRefused(f"{_cut(name)} has no column {column}", "Correct the column.")
+            raise RefusedLine(f"{cut(name)} has no column {column}", "Correct the column.")
         return _row(table[:, int(column) - 1])
 
     def _binary(self, name: str, form: str) -> Any:
@@ -200,8 +190,8 @@ class Commands:
         content, size = self._content(name).encode("latin-1"), np.dtype(form).itemsize
         found = np.frombuffer(content[: len(content) // size * size], form)
         if len(content) % size or not np.isfinite(found).all():
-            raise CommandRefused(
-                f"{_cut(name)} holds no numbers of {size} bytes", "Write it anew, or a csvfile."
+            raise RefusedLine(
+                f"{cut(name)} holds no numbers of {size} bytes", "Write it anew, or a csvfile."
             )
         return found
 
@@ -209,8 +199,8 @@ class Commands:
         """A file's bytes as Latin-1 text."""
         name = name.strip().strip("\"'")
         if name not in self.files:
-            raise CommandRefused(
-                f"names the file {_cut(name)}, which is not in the master's folder",
+            raise RefusedLine(
+                f"names the file {cut(name)}, which is not in the master's folder",
                 "Copy the file into the folder, and name it from there.",
             )
         return self.files[name]
@@ -275,14 +265,10 @@ def _table(content: str, name: str, header: bool = False) -> Any:
     except ValueError:
         table = np.zeros((0, 0))
     if not table.size or table.size > MOST_VALUES or not np.isfinite(table).all():
-        raise CommandRefused(f"{_cut(name)} holds no columns of numbers", "Give one value a line.")
+        raise RefusedLine(f"{cut(name)} holds no columns of numbers", "Give one value a line.")
     return table
 
 
 def _row(values: Any) -> str:
     """Numbers as an array has them."""
     return " ".join(f"{value:.17g}" for value in values)
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."

@@ -6,14 +6,15 @@ is loaded before it.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import opendssdirect as dss
 
-PHASES = (1, 2, 3)
+from vppres.feeders.dss import engine
+from vppres.feeders.dss.elements import PHASES, Circuit, buses
+
 MODELS = {(0.0, 0.0): "model=1", (1.0, 1.0): "model=5", (2.0, 2.0): "model=2"}
 ISLAND = "vppres_island"
 NOTHING_FOUND = {"v": None, "import_kw": None}
@@ -34,26 +35,26 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     of second windings are those with the grid and there. With ``constant_power`` the circuit's
     loads keep their power at any voltage.
     """
-    # Loaded by child.py: a package is not known there.
-    engine: Any = sys.modules["dss/engine"]
-    problems = engine.build(job)
+    circuit, problems = engine.build(job)
     if problems:
         return {"problems": problems}
-    engine.settled()  # the taps of the plan are those of the state that the file gives
+    engine.settled(circuit)  # the taps of the plan are those of the state that the file gives
     dss.Text.Command("set loadmult=1")  # powers of the steps are what is drawn
     for element in job.get("disabled", ()):
         dss.Circuit.Disable(element)
     switched_off = list(_switch_off(job["off"]))
-    names = [asset.get("load") or _new_asset(i, asset) for i, asset in enumerate(job["assets"])]
+    names = [
+        asset.get("load") or _new_asset(circuit, i, asset) for i, asset in enumerate(job["assets"])
+    ]
     if job["constant_power"]:
         for name in dss.Loads.AllNames():
             dss.Text.Command(f"edit load.{name} model=1 {ANY_VOLTAGE}")
     island = _new_source(job["island_bus"])
-    nodes = _nodes()
+    nodes = _nodes(circuit)
     steps = []
     for step in job["steps"]:
         _set(job, step, names, island)
-        steps.append(_found(nodes) if engine.solved_by_phase() else NOTHING_FOUND)
+        steps.append(_found(circuit, nodes) if engine.solved_by_phase() else NOTHING_FOUND)
     return {
         "problems": [],
         "nodes": nodes,
@@ -73,17 +74,11 @@ def _switch_off(kinds: list[str]) -> Iterator[str]:
                 yield element.lower()
 
 
-def _legs() -> dict[str, Any]:
-    """Buses whose two legs count as one node."""
-    found: dict[str, Any] = sys.modules["dss/elements"].LEGS
-    return found
-
-
-def _new_asset(i: int, asset: dict[str, Any]) -> str:
+def _new_asset(circuit: Circuit, i: int, asset: dict[str, Any]) -> str:
     """A load for an asset: one for all of its coils; from leg to leg where there are two."""
     dss.Circuit.SetActiveBus(asset["bus"])
-    if asset["bus"] in _legs():
-        _, signs = _legs()[asset["bus"]]
+    if asset["bus"] in circuit.legs:
+        _, signs = circuit.legs[asset["bus"]]
         legs = [node for node in signs if node in dss.Bus.Nodes()]
         share = len(legs) / len(signs)  # a leg alone has half of the voltage
         kv = asset.get("kv") or 2.0 * dss.Bus.kVBase()
@@ -137,7 +132,7 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
         dss.Text.Command(f"vsource.{ISLAND}.basekv={step['held_v'] * 3**0.5 / 1000.0:.17g}")
     for name in dss.Capacitors.AllNames():
         dss.Circuit.SetActiveElement(f"capacitor.{name}")
-        if dss.CktElement.BusNames()[0].partition(".")[0].lower() in job["open"]:
+        if buses()[0] in job["open"]:
             dss.Text.Command(f"capacitor.{name}.enabled={'no' if held else 'yes'}")
     for name, taps in job.get("taps", {}).items():
         dss.Text.Command(f"edit transformer.{name} wdg=2 tap={taps[held]:.17g}")
@@ -147,20 +142,21 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
         dss.Loads.kvar(q_kvar)
 
 
-def _nodes() -> list[str]:
+def _nodes(circuit: Circuit) -> list[str]:
     """Nodes of the circuit; of two legs the phase that both count as."""
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
-    alone = [name for name in names if name.rpartition(".")[0] not in _legs()]
-    return alone + [f"{bus}.{phase}" for bus, (phase, _) in _legs().items()]
+    alone = [name for name in names if name.rpartition(".")[0] not in circuit.legs]
+    return alone + [f"{bus}.{phase}" for bus, (phase, _) in circuit.legs.items()]
 
 
-def _found(nodes: list[str]) -> dict[str, Any]:
+def _found(circuit: Circuit, nodes: list[str]) -> dict[str, Any]:
     """Real and imaginary part of each node's voltage, and what the source gives."""
-    engine: Any = sys.modules["dss/engine"]
     flat = dss.Circuit.AllBusVolts()
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]  # others with each source
     known = {name: complex(*flat[2 * i : 2 * i + 2]) for i, name in enumerate(names)}
-    known |= {f"{bus}.{phase}": engine.from_leg_to_leg(bus) for bus, (phase, _) in _legs().items()}
+    known |= {
+        f"{bus}.{phase}": circuit.from_leg_to_leg(bus) for bus, (phase, _) in circuit.legs.items()
+    }
     # What only an element was at that is off now is no node any more.
     at = [known.get(node, complex(np.nan, np.nan)) for node in nodes]
     volts = [part for v in at for part in (v.real, v.imag)]

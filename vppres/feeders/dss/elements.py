@@ -6,45 +6,193 @@ out, reactances in series and conductors that are grounded are in it.
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import opendssdirect as dss
 
+from vppres.core.units import V_PER_KV, VA_PER_KVA
+from vppres.feeders.dss.nodes import beside, reached
+
 PHASES = (1, 2, 3)
 ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
 """Turns of phases a, b and c."""
-
-V_PER_KV, VA_PER_KVA = 1000.0, 1000.0
 
 LEAST_PCT = 1e-6
 """Reactance of a leg of a star that has no impedance."""
 
 Node = tuple[str, int]
 
-LEGS: dict[str, tuple[int, dict[int, float]]] = {}
-"""Buses behind the middle of a winding: the phase that they count as, and the sign of each leg.
 
-Both legs are one node there, with the voltage from leg to leg: half of it, and its opposite, is
-that of either leg to ground.
-"""
+@dataclass
+class Circuit:
+    """The engine's circuit: its elements, and those that are something else here.
 
-STARS: dict[str, tuple[str, tuple[int, ...]]] = {}
-"""Transformers with three windings at three buses: the bus of their star, and its phases."""
+    Parameters
+    ----------
+    ends_solved : bool
+        Whether the script's last command has solved it.
+    left_out : tuple of str
+        Options of ``set`` that the script has and OpenDSS did not get.
+    refused : dict
+        Controls that OpenDSS refuses, and why: without them the circuit is what it is.
+    names : dict
+        Enabled elements of each class, in lower case.
+    legs : dict
+        Buses behind the middle of a winding: the phase that they count as, and the sign of each
+        leg. Both legs are one node there, with the voltage from leg to leg: half of it, and its
+        opposite, is that of either leg to ground.
+    stars : dict
+        Transformers with three windings at three buses: the bus of their star, and its phases.
+    moved : dict
+        Buses whose level is not the one that OpenDSS took, and theirs in kV.
+    """
+
+    ends_solved: bool = False
+    left_out: tuple[str, ...] = ()
+    refused: dict[str, str] = field(default_factory=dict)
+    names: dict[str, list[str]] = field(default_factory=dict)
+    legs: dict[str, tuple[int, dict[int, float]]] = field(default_factory=dict)
+    stars: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
+    moved: dict[str, float] = field(default_factory=dict)
+
+    def find(self) -> None:
+        """Find the enabled elements, the legs and the stars of the finished circuit."""
+        self.find_elements()
+        self._find_legs()
+        self._find_stars()
+
+    def find_elements(self) -> None:
+        """Find the elements that are enabled."""
+        self.names = {}
+        for element in dss.Circuit.AllElementNames():
+            dss.Circuit.SetActiveElement(element)
+            if dss.CktElement.Enabled():
+                kind, _, name = element.lower().partition(".")
+                self.names.setdefault(kind, []).append(name)
+
+    def of(self, kind: str) -> Iterator[str]:
+        """Names of the enabled elements of a class; each is active while it is yielded."""
+        for name in self.names.get(kind, ()):
+            dss.Circuit.SetActiveElement(f"{kind}.{name}")
+            yield name
+
+    @property
+    def elements(self) -> list[str]:
+        """Enabled elements, as ``class.name``."""
+        return [f"{kind}.{name}" for kind, names in self.names.items() for name in names]
+
+    def held_by(self, end: Node) -> tuple[Node, float]:
+        """The node whose voltage a conductor has, and its share of it; ground has none."""
+        bus, node = end
+        if bus not in self.legs:
+            return end, 1.0 if node > 0 else 0.0
+        phase, signs = self.legs[bus]
+        return (bus, phase), signs.get(node, 0.0) / 2.0
+
+    def base_kv(self, bus: str) -> float:
+        """Nominal line-to-line voltage of a bus; from leg to leg it is that of a phase."""
+        dss.Circuit.SetActiveBus(bus)
+        legs = 2.0 if bus in self.legs else 1.0
+        return float(legs * dss.Bus.kVBase() * np.sqrt(3))
+
+    def from_leg_to_leg(self, bus: str) -> complex:
+        """Voltage between the legs of a bus in the solution, in V; of a leg alone twice its own."""
+        _, signs = self.legs[bus]
+        dss.Circuit.SetActiveBus(bus)
+        nodes, flat = dss.Bus.Nodes(), np.asarray(dss.Bus.Voltages())
+        volts = dict(zip(nodes, flat[::2] + 1j * flat[1::2], strict=False))
+        here = [sign * volts[node] for node, sign in signs.items() if node in volts]
+        return complex(sum(here) * 2.0 / max(len(here), 1))
+
+    def legs_pu(self, bus: str) -> float:
+        """Voltage between the legs of a bus as a share of the nominal one."""
+        return abs(self.from_leg_to_leg(bus)) / (2.0 * V_PER_KV * float(dss.Bus.kVBase()))
+
+    def admittance(self) -> tuple[list[Node], Any]:
+        """Nodes that the active element connects, in the order of its conductors, and their matrix.
+
+        Ground is no node, two conductors at one node are one, and one that is open is not there.
+        """
+        ends, y = [self.held_by(end) for end in nodes_of()], matrix()
+        closed = [each for terminal in shut() for each in terminal]
+        shares = [share if one else 0.0 for (_, share), one in zip(ends, closed, strict=True)]
+        known = list(dict.fromkeys(end for (end, _), one in zip(ends, shares, strict=True) if one))
+        at = np.zeros((len(known), len(ends)))
+        for i, ((end, _), share) in enumerate(zip(ends, shares, strict=True)):
+            if share:
+                at[known.index(end), i] = share
+        return known, at @ y @ at.T
+
+    def joined(self) -> list[tuple[Node, Node]]:
+        """Nodes that conductors of the active element join, those that are closed at both ends."""
+        ends, n = [self.held_by(end) for end in nodes_of()], dss.CktElement.NumConductors()
+        first, second = shut()[:2]
+        kept = [
+            (ends[k][0], ends[n + k][0])
+            for k in range(n)
+            if first[k] and second[k] and ends[k][1] and ends[n + k][1]
+        ]
+        return list(dict.fromkeys(pair for pair in kept if all(node in PHASES for _, node in pair)))
+
+    def phases(self) -> list[int]:
+        """Phases that the active element's first terminal is at, from 1 to 3."""
+        held = [self.held_by(end) for end in nodes_of()[: dss.CktElement.NumConductors()]]
+        return sorted({node for (_, node), share in held if share} & set(PHASES))
+
+    def beside(self) -> dict[str, list[str]]:
+        """Buses that lines join to each bus."""
+        return beside([buses_of(nodes_of()) for _ in self.of("line")])
+
+    def _find_legs(self) -> None:
+        """Find the buses that only hang behind the middle of a winding, along lines."""
+        known = self.beside()
+        for _ in self.of("transformer"):
+            found = middle()
+            if found is not None:
+                phase, bus, signs = found
+                for each in reached(bus, known):
+                    self.legs.setdefault(each, (phase, signs))
+
+    def _find_stars(self) -> None:
+        """Name the star of each transformer with three windings at three buses.
+
+        Units of single phases between the same buses share one, each with a phase of its own there.
+        """
+        known = set(dss.Circuit.AllBusNames())
+        banks: dict[tuple[str, ...], list[tuple[str, set[int]]]] = {}
+        for name in self.of("transformer"):
+            dss.Transformers.Name(name)
+            ends = nodes_of()
+            buses = tuple(buses_of(ends))
+            if dss.Transformers.NumWindings() != 3 or len(buses) != 3:
+                continue
+            at = [node for _, node in ends if node in PHASES]
+            own = PHASES if dss.CktElement.NumPhases() > 1 else tuple(at[:1])
+            bank = banks.setdefault(buses, [])
+            free = next((each for each in bank if not each[1] & {*own}), None)
+            if free is None:
+                star = f"star_{name}"
+                while star in known:
+                    star += "_"
+                free = (star, set())
+                bank.append(free)
+                known.add(star)
+            free[1].update(own)
+            self.stars[name] = (free[0], own)
 
 
-def nodes() -> Any:
-    """The module of what is joined: child.py loads it by its file."""
-    return sys.modules["dss/nodes"]
+def buses() -> list[str]:
+    """Buses of the active element's terminals, without their phases."""
+    return [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
 
 
 def nodes_of() -> list[Node]:
     """Bus and node of each conductor of the active element, terminal by terminal."""
-    buses = [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
-    each = dss.CktElement.NumConductors()
-    order = dss.CktElement.NodeOrder()
-    return [(buses[i // each], int(node)) for i, node in enumerate(order)]
+    at, each = buses(), dss.CktElement.NumConductors()
+    return [(at[i // each], int(node)) for i, node in enumerate(dss.CktElement.NodeOrder())]
 
 
 def matrix() -> Any:
@@ -54,48 +202,11 @@ def matrix() -> Any:
     return (flat[::2] + 1j * flat[1::2]).reshape(size, size).T
 
 
-def _shut() -> list[list[bool]]:
+def shut() -> list[list[bool]]:
     """Whether each conductor of each terminal of the active element is closed."""
     conductors = range(1, dss.CktElement.NumConductors() + 1)
     terminals = range(1, dss.CktElement.NumTerminals() + 1)
     return [[not dss.CktElement.IsOpen(end, one) for one in conductors] for end in terminals]
-
-
-def held_by(end: Node) -> tuple[Node, float]:
-    """The node whose voltage a conductor has, and its share of it; ground has none."""
-    bus, node = end
-    if bus not in LEGS:
-        return end, 1.0 if node > 0 else 0.0
-    phase, signs = LEGS[bus]
-    return (bus, phase), signs.get(node, 0.0) / 2.0
-
-
-def admittance() -> tuple[list[Node], Any]:
-    """Nodes that the active element connects, in the order of its conductors, and their matrix.
-
-    Ground is no node, two conductors at one node are one, and one that is open is not there.
-    """
-    ends, y = [held_by(end) for end in nodes_of()], matrix()
-    shut = [each for terminal in _shut() for each in terminal]
-    shares = [share if closed else 0.0 for (_, share), closed in zip(ends, shut, strict=True)]
-    known = list(dict.fromkeys(end for (end, _), one in zip(ends, shares, strict=True) if one))
-    at = np.zeros((len(known), len(ends)))
-    for i, ((end, _), share) in enumerate(zip(ends, shares, strict=True)):
-        if share:
-            at[known.index(end), i] = share
-    return known, at @ y @ at.T
-
-
-def joined() -> list[tuple[Node, Node]]:
-    """Nodes that the conductors of the active element join, those that are closed at both ends."""
-    ends, n = [held_by(end) for end in nodes_of()], dss.CktElement.NumConductors()
-    first, second = _shut()[:2]
-    kept = [
-        (ends[k][0], ends[n + k][0])
-        for k in range(n)
-        if first[k] and second[k] and ends[k][1] and ends[n + k][1]
-    ]
-    return list(dict.fromkeys(pair for pair in kept if all(node in PHASES for _, node in pair)))
 
 
 def buses_of(nodes: list[Node]) -> list[str]:
@@ -110,9 +221,9 @@ class TwoPort:
     their impedance in ohm and ``rest`` the admittances of each end beside it, with ``nodes``.
     """
 
-    def __init__(self, nodes: list[Node], y: Any) -> None:
+    def __init__(self, circuit: Circuit, nodes: list[Node], y: Any) -> None:
         self.start, self.end = buses_of(nodes)
-        pairs = [pair for pair in joined() if pair[0][0] != pair[1][0]]
+        pairs = [pair for pair in circuit.joined() if pair[0][0] != pair[1][0]]
         self.phases = [(first, second) for (_, first), (_, second) in pairs]
         ends = [[nodes.index(pair[end]) for pair in pairs] for end in (0, 1)]
         series = -y[np.ix_(*ends)]
@@ -169,64 +280,20 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
     return None
 
 
-def beside(lines: list[str]) -> dict[str, list[str]]:
-    """Buses that lines join to each bus."""
-    ends = []
-    for element in lines:
-        dss.Circuit.SetActiveElement(element)
-        ends.append(buses_of(nodes_of()))
-    found: dict[str, list[str]] = nodes().beside(ends)
-    return found
+@dataclass
+class Side:
+    """One side of a transformer: its bus, the voltage across a coil, its tap and its rating."""
+
+    bus: str
+    kv: float
+    tap: float = 1.0
+    kva: float = 0.0
 
 
-def find_legs(transformers: list[str], lines: list[str]) -> None:
-    """Find the buses that only hang behind the middle of a winding, along lines."""
-    LEGS.clear()
-    known = beside(lines)
-    for element in transformers:
-        dss.Circuit.SetActiveElement(element)
-        found = middle()
-        if found is not None:
-            phase, bus, signs = found
-            for each in nodes().reached(bus, known):
-                LEGS.setdefault(each, (phase, signs))
+class Winding(Side):
+    """A winding of the active transformer, and its leg of the star of three in percent.
 
-
-def find_stars(transformers: list[str]) -> None:
-    """Name the star of each transformer with three windings at three buses.
-
-    Units of single phases between the same buses share one, each with a phase of its own there.
-    """
-    STARS.clear()
-    known = set(dss.Circuit.AllBusNames())
-    banks: dict[tuple[str, ...], list[tuple[str, set[int]]]] = {}
-    for element in transformers:
-        dss.Circuit.SetActiveElement(element)
-        name = dss.CktElement.Name().partition(".")[2]
-        dss.Transformers.Name(name)
-        ends = nodes_of()
-        buses = tuple(buses_of(ends))
-        if dss.Transformers.NumWindings() != 3 or len(buses) != 3:
-            continue
-        at = [node for _, node in ends if node in PHASES]
-        own = PHASES if dss.CktElement.NumPhases() > 1 else tuple(at[:1])
-        bank = banks.setdefault(buses, [])
-        free = next((each for each in bank if not each[1] & {*own}), None)
-        if free is None:
-            star = f"star_{name}"
-            while star in known:
-                star += "_"
-            free = (star, set())
-            bank.append(free)
-            known.add(star)
-        free[1].update(own)
-        STARS[name] = (free[0], own)
-
-
-class Winding:
-    """A winding of the active transformer: its bus and coil, and its leg of the star in percent.
-
-    ``kv`` is across a coil; impedances are on the rating of the first winding.
+    Impedances are on the rating of the first winding; of two, both have all of the reactance.
     """
 
     def __init__(self, number: int) -> None:
@@ -240,9 +307,11 @@ class Winding:
         self.kv = self.rated_kv / (np.sqrt(3) if phases > 1 and not self.delta else 1.0)
         self.tap = float(dss.Transformers.Tap())
         self.r_pct = float(dss.Transformers.R())
+        x_pct = float(dss.Transformers.Xhl())
         if dss.Transformers.NumWindings() > 2:
             x_pct = _of_star(number)
-            self.x_pct = x_pct if abs(x_pct) + self.r_pct > LEAST_PCT else LEAST_PCT
+            x_pct = x_pct if abs(x_pct) + self.r_pct > LEAST_PCT else LEAST_PCT
+        self.percent = complex(self.r_pct, x_pct)
         dss.Transformers.Wdg(1)
         self.kva = float(dss.Transformers.kVA())
 
@@ -254,36 +323,28 @@ def _of_star(number: int) -> float:
     return float(twice) / 2.0
 
 
-class Star:
-    """The star of three windings, as a winding."""
-
-    tap = 1.0
-
-    def __init__(self, bus: str, kv: float) -> None:
-        self.bus = bus
-        self.kv = kv
-
-
 class ServiceTransformer:
     """The active transformer with its middle at ground, as one with two windings.
 
     ``y`` is its matrix between its primary and both legs, from which its impedance follows.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, circuit: Circuit) -> None:
         name = dss.CktElement.Name().partition(".")[2]
-        self.nodes, self.y = admittance()
-        self.ends = [held_by(end)[0] for end in nodes_of()[:3]]
+        self.nodes, self.y = circuit.admittance()
+        self.ends = [circuit.held_by(end)[0] for end in nodes_of()[:3]]
         dss.Transformers.Name(name)
-        self.kv, self.tap = [], []
+        self.windings = []
         for winding in (1, 2):
             dss.Transformers.Wdg(winding)
-            self.kv.append(float(dss.Transformers.kV()) * winding)
-            self.tap.append(float(dss.Transformers.Tap()))
+            kv, tap = float(dss.Transformers.kV()) * winding, float(dss.Transformers.Tap())
+            self.windings.append(Side(self.ends[2 * winding - 2][0], kv, tap))
         dss.Transformers.Wdg(1)
-        self.kva = float(dss.Transformers.kVA())
-        first = self.nodes.index(next(node for node in self.nodes if node[0] not in LEGS))
-        last = next(i for i, node in enumerate(self.nodes) if node[0] in LEGS)
-        volts = V_PER_KV**2 * self.kv[0] * self.kv[1] * self.tap[0] * self.tap[1]
-        z = complex(100.0 * self.kva * VA_PER_KVA / (-self.y[first, last] * volts))
+        self.windings[0].kva = float(dss.Transformers.kVA())
+        first = self.nodes.index(next(node for node in self.nodes if node[0] not in circuit.legs))
+        last = next(i for i, node in enumerate(self.nodes) if node[0] in circuit.legs)
+        kv2 = self.windings[0].kv * self.windings[1].kv
+        ohm_pct = 100.0 * self.windings[0].kva * VA_PER_KVA / (V_PER_KV**2 * kv2)
+        taps = self.windings[0].tap * self.windings[1].tap
+        z = complex(ohm_pct / (-self.y[first, last] * taps))
         self.percent = z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import opendssdirect as dss
+
+from vppres.core.units import V_PER_KV, W_PER_KW
+from vppres.feeders.dss.commands import Commands
+from vppres.feeders.dss.elements import (
+    PHASES,
+    Circuit,
+    ServiceTransformer,
+    Side,
+    TwoPort,
+    Winding,
+    buses,
+    buses_of,
+    matrix,
+    middle,
+    nodes_of,
+    power_at_nominal,
+    power_drawn,
+    shut,
+)
+from vppres.feeders.dss.nodes import reached
+from vppres.feeders.dss.refused import RefusedLine
 
 # Classes that carry no power, and those that have a counterpart here.
 _CONTROLS = """
@@ -18,14 +37,13 @@ recloser fuse upfccontrol espvlcontrol
 CONTROLS = frozenset(_CONTROLS.split())
 _CARRYING = "vsource line transformer load generator pvsystem storage capacitor reactor"
 CARRYING = frozenset(_CARRYING.split())
-CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
+CONSTANT_POWER, CONSTANT_IMPEDANCE = 1, 2  # OpenDSS's models of a load; 5 is constant current
+ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
 VARIABLE = 0  # status of a load that multipliers change
 MOST_NAMED = 6
 NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
-W_PER_KW = 1000.0
-V_PER_KV = 1000.0
 DEFAULT_AMPS = 400.0
 TOLERANCE, GUESSED_TOLERANCE = 0.1, 0.01  # sources and windings are often rated above their level
 MOST_TOLD = 200
@@ -34,7 +52,6 @@ SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
 
 POWERS = ("load", "generator", "pvsystem", "storage")
-PHASES = (1, 2, 3)
 MOST_KVA = 1e12
 """Of a branch that is not to be opened."""
 
@@ -42,40 +59,25 @@ CONTROLS_OFF = -1
 TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
 """From the last digits to OpenDSS's own: what floats, or is stiff, meets only the latter."""
 
-ENDS_SOLVED: list[bool] = []
-"""Not empty if the script's last command has solved it."""
-
-LEFT_OUT: list[str] = []
-"""Options of ``set`` that the script has and OpenDSS did not get."""
-
-REFUSED_CONTROLS: dict[str, str] = {}
-"""Controls that OpenDSS refuses, and why: without them the circuit is what it is."""
-
-MOVED: dict[str, float] = {}
-"""Buses whose level is not the one that OpenDSS took, and theirs in kV."""
-
 Problems = list[dict[str, Any]]
 Table = list[dict[str, Any]]
 
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
-    problems = build(job)
+    circuit, problems = build(job)
     if problems:
         return {"problems": problems}
-    solved = settled() and solved_by_phase()
+    solved = settled(circuit) and solved_by_phase()
     state = job.get("state")
-    return _tables(solved) if state is None else {"problems": [], **_in_state(state)}
+    if state is None:
+        return _tables(circuit, solved)
+    return {"problems": [], **_in_state(circuit, state)}
 
 
-def elements() -> Any:
-    """The module of the elements' admittances: child.py loads it by its file."""
-    return sys.modules["dss/elements"]
-
-
-def settled() -> bool:
+def settled(circuit: Circuit) -> bool:
     """Let regulators and switched capacitors find their places in the state that is given."""
-    if ENDS_SOLVED and dss.Solution.Converged():
+    if circuit.ends_solved and dss.Solution.Converged():
         return True  # as the script leaves it
     off = dss.Solution.ControlMode() == CONTROLS_OFF
     mode = () if off else ("set controlmode=static", "set maxcontroliter=100")
@@ -100,14 +102,14 @@ def _solved(*settings: str) -> bool:
     return bool(dss.Solution.Converged())
 
 
-def _in_state(state: dict[str, Any]) -> dict[str, Any]:
+def _in_state(circuit: Circuit, state: dict[str, Any]) -> dict[str, Any]:
     """Voltages and losses with other powers and everything else as it was found.
 
     Loads give the share ``load`` of their powers. Buses of ``held`` have no element of the circuit
     but inject these kW and kvar, each on its phases.
     """
     held = state["held"]
-    there = [f"{kind}.{name}" for kind in POWERS for name in _of(kind) if _buses()[0] in held]
+    there = [f"{kind}.{name}" for kind in POWERS for name in circuit.of(kind) if buses()[0] in held]
     for element in there:
         dss.Circuit.Disable(element)
     for i, (bus, power) in enumerate(held.items()):
@@ -117,11 +119,11 @@ def _in_state(state: dict[str, Any]) -> dict[str, Any]:
     commands = [f"{element}.enabled=no" for element in state["disabled"]]
     if state["v_slack_pu"] is not None:
         dss.Vsources.Name("source")
-        share = _base_kv(dss.CktElement.BusNames()[0].partition(".")[0]) / dss.Vsources.BasekV()
+        share = circuit.base_kv(buses()[0]) / dss.Vsources.BasekV()
         commands.append(f"vsource.source.pu={state['v_slack_pu'] * share!r}")
     for command in (f"set loadmult={multiplier!r}", *commands):
         dss.Text.Command(command)
-    return _voltages(solved_by_phase())
+    return _voltages(circuit, solved_by_phase())
 
 
 def _inject(name: str, bus: str, p_kw: float, q_kvar: float) -> None:
@@ -135,37 +137,27 @@ def _inject(name: str, bus: str, p_kw: float, q_kvar: float) -> None:
     )
 
 
-def _voltages(solved: bool) -> dict[str, Any]:
+def _voltages(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """Mean voltage of the phases of every bus in pu, and all losses; nothing without a solution."""
     if not solved:
         return {"v_pu": None, "losses_kw": None}
     found = {}
     complete = []
     for bus in dss.Circuit.AllBusNames():
-        dss.Circuit.SetActiveBus(bus)
-        if bus in elements().LEGS:
-            found[bus] = abs(from_leg_to_leg(bus)) / (2.0 * dss.Bus.kVBase() * V_PER_KV)
+        if bus in circuit.legs:
+            found[bus] = circuit.legs_pu(bus)
             continue
+        dss.Circuit.SetActiveBus(bus)
         phases = [node in PHASES for node in dss.Bus.Nodes()]
         magnitude = np.asarray(dss.Bus.puVmagAngle()[::2])[: len(phases)]
         if any(phases):
             found[bus] = float(magnitude[phases].mean())
         if sum(phases) == THREE_PHASES:
             complete.append(bus)
-    return {"v_pu": found, "losses_kw": _losses_kw(), "complete": complete}
+    return {"v_pu": found, "losses_kw": _losses_kw(circuit), "complete": complete}
 
 
-def from_leg_to_leg(bus: str) -> complex:
-    """Voltage between the legs of a bus in the solution, in V; of a leg alone twice its own."""
-    _, signs = elements().LEGS[bus]
-    dss.Circuit.SetActiveBus(bus)
-    nodes, flat = dss.Bus.Nodes(), np.asarray(dss.Bus.Voltages())
-    volts = dict(zip(nodes, flat[::2] + 1j * flat[1::2], strict=False))
-    here = [sign * volts[node] for node, sign in signs.items() if node in volts]
-    return complex(sum(here) * 2.0 / max(len(here), 1))
-
-
-def _losses_kw() -> float:
+def _losses_kw(circuit: Circuit) -> float:
     """Losses: the source's power beyond the demand, and the share of its own impedance.
 
     OpenDSS's own figure leaves out the latter, and capacitors and reactors to ground.
@@ -174,87 +166,60 @@ def _losses_kw() -> float:
     n = dss.CktElement.NumConductors()
     flat = np.asarray(dss.CktElement.Currents())
     i = (flat[::2] + 1j * flat[1::2])[:n]
-    z = np.linalg.inv(elements().matrix()[:n, :n])
+    z = np.linalg.inv(matrix()[:n, :n])
     inside_kw = float((i.conj() @ z @ i).real) / W_PER_KW
-    drawn_kw = sum(elements().power_drawn().real for kind in POWERS for _ in _of(kind))
+    drawn_kw = sum(power_drawn().real for kind in POWERS for _ in circuit.of(kind))
     dss.Circuit.SetActiveElement("vsource.source")
     given_kw = -float(np.sum(dss.CktElement.Powers()[: 2 * n : 2]))
     return float(inside_kw + given_kw - drawn_kw)
 
 
-def build(job: dict[str, Any]) -> Problems:
+def build(job: dict[str, Any]) -> tuple[Circuit, Problems]:
     """Build the circuit of the job's commands; what is wrong with it."""
-    words: Any = sys.modules["dss/commands"]
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
     dss.Basic.AllowDOScmd(False)
-    commands = words.Commands(job["files"])
+    circuit, commands = Circuit(), Commands(job["files"])
     refused: Problems = []
     texts: list[tuple[int, str]] = []
     for i, (verb, target, values) in enumerate(job["commands"]):
         try:
             texts.append((i, commands.text(verb, target, values)))
-        except words.CommandRefused as no:
-            refused.append(_wrong(no.message, no.cure, i))
+        except RefusedLine as no:
+            refused.append(wrong(no.message, no.cure, i))
     if refused:
-        return refused
+        return circuit, refused
+    circuit.left_out = tuple(commands.left_out)
     dss.Text.Command("clear")
-    levels = False
     for i, text in texts:
-        if not text:
-            continue
-        levels |= text == "calcvoltagebases"
-        ENDS_SOLVED[:] = [True] if text == "solve" else []
-        try:
-            dss.Text.Command(text)
-        except Exception as error:  # the engine's own class has no public name
-            ENDS_SOLVED.clear()
-            element = _control(commands.elements.get(i, ""))
-            if not element and text not in SOLVES:
-                return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE, i)]
-            if element:
-                REFUSED_CONTROLS[element] = told(error)
-                dss.Circuit.Disable(element)
-    try:
-        for text in () if levels else ("makebuslist", "calcvoltagebases"):
-            ENDS_SOLVED.clear()
-            dss.Text.Command(text)
-    except Exception as error:
-        return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE)]
-    LEFT_OUT[:] = commands.left_out
-    kinds = [[e for e in _elements() if e.startswith(f"{k}.")] for k in ("transformer", "line")]
-    elements().find_legs(*kinds)
-    elements().find_stars(kinds[0])
+        if text and (no_circuit := _carried_out(circuit, text, commands.elements.get(i, ""))):
+            return circuit, [wrong(no_circuit, CURE, i)]
+    if "calcvoltagebases" not in [text for _, text in texts]:
+        for text in ("makebuslist", "calcvoltagebases"):
+            if no_circuit := _carried_out(circuit, text):
+                return circuit, [wrong(no_circuit, CURE)]
+    circuit.find()
     if commands.named_levels:
-        _fit_levels(kinds[1])
-    unfit = [p for name in _elements() if (p := _problem(name))]
-    banks = [] if job.get("open_deltas") else [*_open_deltas()]
-    return [*unfit, *banks] or _check_levels(commands.named_levels)
+        _fit_levels(circuit)
+    unfit = [p for name in circuit.elements if (p := _problem(circuit, name))]
+    banks = [] if job.get("open_deltas") else [*_open_deltas(circuit)]
+    return circuit, [*unfit, *banks] or _check_levels(circuit, commands.named_levels)
 
 
-@cache
-def _elements() -> tuple[str, ...]:
-    """Enabled elements of the finished circuit, as ``class.name`` in lower case."""
-    found = []
-    for name in dss.Circuit.AllElementNames():
-        dss.Circuit.SetActiveElement(name)
-        if dss.CktElement.Enabled():
-            found.append(name.lower())
-    return tuple(found)
-
-
-def _of(kind: str) -> Iterator[str]:
-    """Names of the enabled elements of a class; each is active while it is yielded."""
-    for element in _elements():
-        if element.startswith(f"{kind}."):
-            dss.Circuit.SetActiveElement(element)
-            yield element.partition(".")[2]
-
-
-def _control(element: str) -> str:
-    """The element if it is a control."""
-    return element if element.partition(".")[0] in CONTROLS else ""
+def _carried_out(circuit: Circuit, text: str, element: str = "") -> str:
+    """Carry out a command, of an element if there is one; why there is no circuit with it."""
+    circuit.ends_solved = text == "solve"
+    try:
+        dss.Text.Command(text)
+    except Exception as error:  # the engine's own class has no public name
+        circuit.ends_solved = False
+        if element.partition(".")[0] in CONTROLS:
+            circuit.refused[element] = told(error)
+            dss.Circuit.Disable(element)
+        elif text not in SOLVES:
+            return f"OpenDSS refuses the file ({told(error)})"
+    return ""
 
 
 def told(error: Exception) -> str:
@@ -264,45 +229,46 @@ def told(error: Exception) -> str:
     return " ".join(kept or lines)[:MOST_TOLD].rstrip(".")
 
 
-def _wrong(message: str, cure: str, command: int | None = None) -> dict[str, Any]:
+def wrong(message: str, cure: str, command: int | None = None) -> dict[str, Any]:
+    """A problem of the circuit, and the number of its command if it has one."""
     return {"message": message, "cure": cure, "command": command}
 
 
-def _problem(element: str) -> dict[str, Any] | None:
+def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
     """Why an element has no equivalent here; None if it has."""
     kind, _, name = element.partition(".")
     if kind not in CONTROLS | CARRYING:
-        return _wrong(
+        return wrong(
             f"{element} is not supported", f"Write 'disable {element}' at the end of the script."
         )
     if kind == "vsource" and element != "vsource.source":
-        return _wrong(
+        return wrong(
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
         )
     dss.Circuit.SetActiveElement(element)
-    if kind == "vsource" and any(node for _, node in _far_end()):
-        return _wrong(
-            f"{element} stands between bus {_buses()[0]} and bus {_buses()[1]}",
+    if kind == "vsource" and any(node for _, node in nodes_of()[dss.CktElement.NumConductors() :]):
+        return wrong(
+            f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
         )
     if kind == "load" and dss.Solution.Year() and (shape := text_of(f"{element}.growth")):
-        return _wrong(
+        return wrong(
             f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
             "Write its power of that year, and leave out 'set year'.",
         )
     if kind == "transformer":
-        service = elements().middle() is not None
+        service = middle() is not None
         dss.Transformers.Name(name)
         count = dss.Transformers.NumWindings()
-        if count != 2 and not service and name not in elements().STARS:
-            where = f" at {named_once(_buses())}" if count == 3 else ""
-            return _wrong(
+        if count != 2 and not service and name not in circuit.stars:
+            where = f" at {named_once(buses())}" if count == 3 else ""
+            return wrong(
                 f"{element} has {count} windings{where}",
                 "Replace it by transformers with two windings, or with three at three buses.",
             )
         reactances = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
-        if NO_REACTANCE in reactances[: 3 if name in elements().STARS else 1]:
-            return _wrong(
+        if NO_REACTANCE in reactances[: 3 if name in circuit.stars else 1]:
+            return wrong(
                 f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
                 "Give it one, such as xhl=0.01.",
             )
@@ -315,52 +281,46 @@ def text_of(of: str) -> str:
     return str(dss.Text.Result()).strip().lower()
 
 
-def _far_end() -> list[tuple[str, int]]:
-    """Conductors of the active element's second terminal."""
-    found: list[tuple[str, int]] = elements().nodes_of()[dss.CktElement.NumConductors() :]
-    return found
-
-
 def named_once(words: list[str]) -> str:
     """Words, each once."""
     return " and ".join(dict.fromkeys(words))
 
 
-def _open_deltas() -> Iterator[dict[str, Any]]:
+def _open_deltas(circuit: Circuit) -> Iterator[dict[str, Any]]:
     """Pairs of single units between phases that carry all three: they have no balanced equivalent.
 
     The two differ in their taps, and turn and unbalance the voltages even of balanced loads.
     """
     units: dict[frozenset[str], dict[str, set[int]]] = {}
-    for name in _of("transformer"):
-        ends = frozenset(_buses())
-        nodes = set(_phases_of_active())
+    for name in circuit.of("transformer"):
+        ends = frozenset(buses())
+        nodes = set(circuit.phases())
         if dss.CktElement.NumPhases() == 1 and len(nodes) == 2:
             units.setdefault(ends, {})[name] = nodes
     for bank in units.values():
         if len(bank) == 2 and len(set.union(*bank.values())) == THREE_PHASES:
             names = " and ".join(f"transformer.{name}" for name in bank)
-            yield _wrong(
+            yield wrong(
                 f"{names} are an open delta: two units between phases that carry all three",
                 "A balanced model has no such bank: replace both by one transformer of three "
                 "phases at the mean of their taps.",
             )
 
 
-def _fit_levels(lines: list[str]) -> None:
+def _fit_levels(circuit: Circuit) -> None:
     """Give buses the level of ``voltagebases`` that fits the ratings of their transformers.
 
     OpenDSS takes that which is next to their voltage without load, and where nothing holds a
     floating bus that may be any.
     """
     levels = [float(kv) for kv in dss.Settings.VoltageBases()]
-    beside = elements().beside(lines)
-    for element, bus, rated_kv, _ in list(_ratings()):
+    beside = circuit.beside()
+    for element, bus, rated_kv, _ in list(_ratings(circuit)):
         own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
-        if element.startswith("transformer.") and own and not _fits(rated_kv, _base_kv(bus)):
-            for each in elements().nodes().reached(bus, beside):
+        if element.startswith("transformer.") and own and not _fits(rated_kv, circuit.base_kv(bus)):
+            for each in reached(bus, beside):
                 dss.Text.Command(f'setkvbase bus="{each}" kvll={own[0]:.17g}')
-                MOVED[each] = own[0]
+                circuit.moved[each] = own[0]
 
 
 def _fits(rated_kv: float, base_kv: float, tolerance: float = TOLERANCE) -> bool:
@@ -369,15 +329,15 @@ def _fits(rated_kv: float, base_kv: float, tolerance: float = TOLERANCE) -> bool
     return bool(apart <= tolerance * rated_kv)
 
 
-def _check_levels(levels_named: bool) -> Problems:
+def _check_levels(circuit: Circuit, levels_named: bool) -> Problems:
     """Ratings that do not fit their bus: without ``voltagebases`` OpenDSS guesses the levels."""
     problems = []
-    for element, bus, rated_kv, guessed in list(_ratings()):
+    for element, bus, rated_kv, guessed in list(_ratings(circuit)):
         tolerance = TOLERANCE if levels_named else guessed
-        base_kv = _base_kv(bus)
+        base_kv = circuit.base_kv(bus)
         if not _fits(rated_kv, base_kv, tolerance):
             problems.append(
-                _wrong(
+                wrong(
                     f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
                     f"{base_kv:.4g} kV",
                     "Name the levels with 'set voltagebases=[...]'.",
@@ -386,68 +346,55 @@ def _check_levels(levels_named: bool) -> Problems:
     return problems
 
 
-def _ratings() -> Iterator[tuple[str, str, float, float]]:
+def _ratings(circuit: Circuit) -> Iterator[tuple[str, str, float, float]]:
     """Element, bus, rated voltage in kV, and by which share a bus may differ that is guessed."""
-    for name in _of("vsource"):
-        bus = _buses()[0]
+    for name in circuit.of("vsource"):
+        bus = buses()[0]
         dss.Vsources.Name(name)
         yield f"vsource.{name}", bus, dss.Vsources.BasekV(), GUESSED_TOLERANCE
-    for name in list(_of("transformer")):
+    for name in list(circuit.of("transformer")):
         dss.Circuit.SetActiveElement(f"transformer.{name}")
-        buses = _buses()
-        for winding, bus in enumerate(buses, start=1):
+        for winding, bus in enumerate(buses(), start=1):
             dss.Transformers.Name(name)
             dss.Transformers.Wdg(winding)
-            legs = 2.0 if bus in elements().LEGS else 1.0
+            legs = 2.0 if bus in circuit.legs else 1.0
             yield f"transformer.{name}", bus, legs * dss.Transformers.kV(), TOLERANCE
 
 
-def _base_kv(bus: str) -> float:
-    """Nominal line-to-line voltage of a bus; from leg to leg it is that of a phase."""
-    dss.Circuit.SetActiveBus(bus)
-    legs = 2.0 if bus in elements().LEGS else 1.0
-    return float(legs * dss.Bus.kVBase() * np.sqrt(3))
-
-
-def _buses() -> list[str]:
-    """Buses of the active element, without their phases."""
-    return [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
-
-
-def _tables(solved: bool) -> dict[str, Any]:
+def _tables(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """Tables from which the reader makes a pandapower net."""
-    branches, shunts = _branches()
+    branches, shunts = _branches(circuit)
     return {
         "problems": [],
-        **_voltages(solved),
+        **_voltages(circuit, solved),
         "name": dss.Circuit.Name(),
         "frequency_hz": dss.Solution.Frequency(),
         "buses": [
-            *({"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()),
-            *({"name": star, "kv": kv} for star, kv in _stars().items()),
+            *({"name": bus, "kv": circuit.base_kv(bus)} for bus in dss.Circuit.AllBusNames()),
+            *({"name": star, "kv": kv} for star, kv in stars_kv(circuit).items()),
         ],
-        "sources": list(_sources()),
+        "sources": list(_sources(circuit)),
         "lines": branches,
-        "transformers": list(_transformers()),
-        "shunts": [*shunts, *_cores()],
-        "powers": [*_powers(solved)],
-        "shapes": _shapes(),
-        "causes": list(_causes(solved)),
-        "single_phases": _single_phases(),
-        "balanced_notes": list(_notes_on_balance()),
-        "notes": list(_notes(solved)),
+        "transformers": list(_transformers(circuit)),
+        "shunts": [*shunts, *_cores(circuit)],
+        "powers": [*_powers(circuit, solved)],
+        "shapes": _shapes(circuit),
+        "causes": list(_causes(circuit, solved)),
+        "single_phases": _single_phases(circuit),
+        "balanced_notes": list(_notes_on_balance(circuit)),
+        "notes": list(_notes(circuit, solved)),
     }
 
 
-def _sources() -> Iterator[dict[str, Any]]:
-    for name in _of("vsource"):
-        bus = _buses()[0]
+def _sources(circuit: Circuit) -> Iterator[dict[str, Any]]:
+    for name in circuit.of("vsource"):
+        bus = buses()[0]
         dss.Vsources.Name(name)
         v_kv = dss.Vsources.PU() * dss.Vsources.BasekV()
         yield {
             "name": name,
             "bus": bus,
-            "v_pu": v_kv / _base_kv(bus),
+            "v_pu": v_kv / circuit.base_kv(bus),
             "r_ohm": number(f"vsource.{name}.r1"),
             "x_ohm": number(f"vsource.{name}.x1"),
         }
@@ -458,23 +405,23 @@ def number(query: str) -> float:
     return float(text_of(query))
 
 
-def _branches() -> tuple[Table, Table]:
+def _branches(circuit: Circuit) -> tuple[Table, Table]:
     """Lines, reactors and capacitors between two buses, and what is at one bus only."""
     branches: Table = []
     shunts: Table = []
-    switches = _switches()
+    switches = _switches(circuit)
     for kind in ("line", "reactor", "capacitor"):
-        for name in _of(kind):
+        for name in circuit.of(kind):
             own = name if kind == "line" else f"{kind}.{name}"
-            ends = _buses()
+            ends = buses()
             amps = rated_amps(dss.CktElement.NormalAmps())
-            nodes, y = elements().admittance()
-            buses = elements().buses_of(nodes)
-            if len(buses) == 2:
-                port = elements().TwoPort(nodes, y)
+            nodes, y = circuit.admittance()
+            joined = buses_of(nodes)
+            if len(joined) == 2:
+                port = TwoPort(circuit, nodes, y)
                 if port.phases:
                     told = {"switch": own in switches, "locked": switches.get(own, False)}
-                    branches.append({**_branch(own, kind, port, amps), **told})
+                    branches.append({**_branch(circuit, own, kind, port, amps), **told})
                     continue
             if kind == "line" and len(set(ends)) == 2:  # open, but there
                 branches.append(
@@ -482,20 +429,22 @@ def _branches() -> tuple[Table, Table]:
                      "closed": False, "amps": amps, **_own_impedance(name), "carried_kva": 0.0,
                      "switch": True, "locked": switches.get(own, False)}
                 )  # fmt: skip
-            for bus in buses:
+            for bus in joined:
                 at = [i for i, node in enumerate(nodes) if node[0] == bus]
                 ends_here = [nodes[i] for i in at]
-                power = elements().power_at_nominal(ends_here, y[np.ix_(at, at)], _base_kv(bus))
+                power = power_at_nominal(ends_here, y[np.ix_(at, at)], circuit.base_kv(bus))
                 shunts.append({"name": own, "bus": bus, "p_kw": power.real, "q_kvar": power.imag})
     return branches, shunts
 
 
-def _switches() -> dict[str, bool]:
+def _switches(circuit: Circuit) -> dict[str, bool]:
     """Lines that are switches, or have a control of one, and whether this is locked."""
     found = {
-        name: False for name in _of("line") if dss.Lines.Name(name) is None and dss.Lines.IsSwitch()
+        name: False
+        for name in circuit.of("line")
+        if dss.Lines.Name(name) is None and dss.Lines.IsSwitch()
     }
-    for name in _of("swtcontrol"):
+    for name in circuit.of("swtcontrol"):
         dss.SwtControls.Name(name)
         kind, _, line = dss.SwtControls.SwitchedObj().lower().partition(".")
         if kind == "line":
@@ -519,7 +468,9 @@ def _own_impedance(line: str) -> dict[str, Any]:
     return {"phases": n, "z": z, "b": [0.0] * n**2}
 
 
-def _branch(name: str, kind: str, port: Any, amps: float | None) -> dict[str, Any]:
+def _branch(
+    circuit: Circuit, name: str, kind: str, port: TwoPort, amps: float | None
+) -> dict[str, Any]:
     """A branch with the impedance of its phases in ohm, and its charging in siemens."""
     n = len(port.phases)
     half = [rest[:n, :n] if len(rest) == n else np.zeros((n, n)) for rest in port.rest]
@@ -530,19 +481,19 @@ def _branch(name: str, kind: str, port: Any, amps: float | None) -> dict[str, An
         "end": port.end,
         "closed": n > 0,
         "amps": amps if kind == "line" else None,
-        "carried_kva": _carried_kva(),
+        "carried_kva": _carried_kva(circuit),
         "phases": n,
         "z": [port.z.real.ravel().tolist(), port.z.imag.ravel().tolist()],
         "b": (half[0] + half[1]).imag.ravel().tolist(),
     }
 
 
-def _carried_kva() -> float:
+def _carried_kva(circuit: Circuit) -> float:
     """Current into the active element in the last solution, all phases, at nominal voltage."""
     element = dss.CktElement.Name()
     flat = np.asarray(dss.CktElement.CurrentsMagAng()[::2])
     amps = float(flat[: dss.CktElement.NumPhases()].sum())
-    kv = _base_kv(_buses()[0]) / np.sqrt(3)
+    kv = circuit.base_kv(buses()[0]) / np.sqrt(3)
     dss.Circuit.SetActiveElement(element)
     return float(amps * kv)
 
@@ -552,94 +503,108 @@ def rated_amps(amps: float) -> float | None:
     return None if amps == DEFAULT_AMPS else float(amps)
 
 
-def _transformers() -> Iterator[dict[str, Any]]:
-    for name in _of("transformer"):
-        if elements().middle() is not None:
+def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
+    for name in circuit.of("transformer"):
+        if middle() is not None:
             dss.Circuit.SetActiveElement(f"transformer.{name}")
-            yield _service(name)
+            yield _service(circuit, name)
             continue
-        if name in elements().STARS:
-            yield from _legs_of_star(name)
+        if name in circuit.stars:
+            yield from _legs_of_star(circuit, name)
             continue
         dss.Circuit.SetActiveElement(f"transformer.{name}")
-        (start, end) = _buses()
-        closed = len(elements().buses_of(elements().admittance()[0])) == 2
-        nodes = _phases_of_active()
+        first, second = windings = [Winding(number) for number in (1, 2)]
+        kv = [_in_use_kv(circuit, own, own.rated_kv) for own in windings]
         phases = dss.CktElement.NumPhases()
-        carried_kva = _carried_kva()
-        base_kv = [_base_kv(bus) for bus in (start, end)]
-        dss.Transformers.Name(name)
-        percent = []
-        kv = []
-        for winding, level in enumerate(base_kv, start=1):
-            dss.Transformers.Wdg(winding)
-            percent.append(dss.Transformers.R())
-            kv.append(_between_lines(dss.Transformers.kV(), level) * dss.Transformers.Tap())
+        percent = first.percent + second.r_pct
         yield {
-            "name": name,
-            "start": start,
-            "end": end,
-            "closed": closed,
-            "phases": phases,
-            "nodes": nodes,
-            "kv": kv,
-            "carried_kva": carried_kva,
-            "r_percent": sum(percent),
-            "kva": dss.Transformers.kVA(),
-            "x_percent": dss.Transformers.Xhl(),
-            "no_load_percent": number(f"transformer.{name}.%noloadloss"),
-            "magnetising_percent": number(f"transformer.{name}.%imag"),
+            **_between(circuit, name, first, second.bus, kv, phases, circuit.phases(), percent),
+            **_core_percent(name),
+            "closed": len(buses_of(circuit.admittance()[0])) == 2,
         }
 
 
-def _stars() -> dict[str, float]:
+def _between(
+    circuit: Circuit,
+    name: str,
+    first: Side,
+    end: str,
+    kv: list[float],
+    phases: int,
+    nodes: list[int],
+    percent: complex,
+) -> dict[str, Any]:
+    """The active transformer between two buses, without its core."""
+    return {
+        "name": name,
+        "start": first.bus,
+        "end": end,
+        "closed": True,
+        "phases": phases,
+        "nodes": nodes,
+        "kv": kv,
+        "carried_kva": _carried_kva(circuit),
+        "r_percent": percent.real,
+        "kva": first.kva,
+        "x_percent": percent.imag,
+        "no_load_percent": 0.0,
+        "magnetising_percent": 0.0,
+    }
+
+
+def _core_percent(name: str) -> dict[str, float]:
+    """Losses and current of a transformer's core, in percent of its rating."""
+    return {
+        "no_load_percent": number(f"transformer.{name}.%noloadloss"),
+        "magnetising_percent": number(f"transformer.{name}.%imag"),
+    }
+
+
+def _in_use_kv(circuit: Circuit, own: Side, rated_kv: float) -> float:
+    """Voltage between lines of the turns of a winding that are in use."""
+    element = dss.CktElement.Name()
+    kv = _between_lines(rated_kv, circuit.base_kv(own.bus)) * own.tap
+    dss.Circuit.SetActiveElement(element)
+    return kv
+
+
+def stars_kv(circuit: Circuit) -> dict[str, float]:
     """Nominal voltage between lines of each star: that of the first winding."""
     found = {}
-    for name, (star, _) in elements().STARS.items():
+    for name, (star, _) in circuit.stars.items():
         dss.Circuit.SetActiveElement(f"transformer.{name}")
         dss.Transformers.Name(name)
-        own = elements().Winding(1)
-        found[star] = _between_lines(own.rated_kv, _base_kv(own.bus))
+        own = Winding(1)
+        found[star] = _between_lines(own.rated_kv, circuit.base_kv(own.bus))
     return found
 
 
-def _legs_of_star(name: str) -> Iterator[dict[str, Any]]:
+def _legs_of_star(circuit: Circuit, name: str) -> Iterator[dict[str, Any]]:
     """A transformer with three windings as one with two for each of them, to their star."""
-    star, phases = elements().STARS[name]
-    star_kv = _stars()[star]
+    star, phases = circuit.stars[name]
+    star_kv = stars_kv(circuit)[star]
     dss.Circuit.SetActiveElement(f"transformer.{name}")
     dss.Transformers.Name(name)
     for number in (1, 2, 3):
-        own = elements().Winding(number)
-        kv = _between_lines(own.rated_kv, _base_kv(own.bus))
-        dss.Circuit.SetActiveElement(f"transformer.{name}")
+        own = Winding(number)
+        kv = [_in_use_kv(circuit, own, own.rated_kv), star_kv]
+        leg = f"{name} winding {number}"
         yield {
-            "name": f"{name} winding {number}",
+            **_between(circuit, leg, own, star, kv, len(phases), [*phases], own.percent),
             "element": f"transformer.{name}",
-            "start": own.bus,
-            "end": star,
-            "closed": True,
-            "phases": len(phases),
-            "nodes": [*phases],
-            "kv": [kv * own.tap, star_kv],
             "carried_kva": MOST_KVA,
-            "r_percent": own.r_pct,
-            "kva": own.kva,
-            "x_percent": own.x_pct,
-            "no_load_percent": 0.0,
-            "magnetising_percent": 0.0,
         }
 
 
-def _cores() -> Table:
+def _cores(circuit: Circuit) -> Table:
     """Cores of transformers with three windings, which OpenDSS has at the second."""
     found: Table = []
-    for name in elements().STARS:
+    for name in circuit.stars:
         element = f"transformer.{name}"
         dss.Circuit.SetActiveElement(element)
         dss.Transformers.Name(name)
-        own = elements().Winding(2)
-        base_kv = _base_kv(own.bus)
+        own = Winding(2)
+        base_kv = circuit.base_kv(own.bus)
         kv = own.tap * _between_lines(own.rated_kv, base_kv)
         share = own.kva * (base_kv / kv) ** 2 / 100.0
         p_kw = share * number(f"{element}.%noloadloss")
@@ -651,27 +616,14 @@ def _cores() -> Table:
     return found
 
 
-def _service(name: str) -> dict[str, Any]:
+def _service(circuit: Circuit, name: str) -> dict[str, Any]:
     """A transformer with its middle at ground, as one with two windings."""
-    carried_kva = _carried_kva()
-    own = elements().ServiceTransformer()
-    ends = [own.ends[0][0], own.ends[2][0]]
-    kv = [_between_lines(kv, _base_kv(bus)) for kv, bus in zip(own.kv, ends, strict=True)]
-    return {
-        "name": name,
-        "start": ends[0],
-        "end": ends[1],
-        "closed": True,
-        "phases": 1,
-        "nodes": sorted({node for _, node in own.ends[:2]} & set(PHASES)),
-        "kv": [each * tap for each, tap in zip(kv, own.tap, strict=True)],
-        "carried_kva": carried_kva,
-        "r_percent": own.percent.real,
-        "kva": own.kva,
-        "x_percent": own.percent.imag,
-        "no_load_percent": number(f"transformer.{name}.%noloadloss"),
-        "magnetising_percent": number(f"transformer.{name}.%imag"),
-    }
+    own = ServiceTransformer(circuit)
+    first, second = own.windings
+    kv = [_in_use_kv(circuit, each, each.kv) for each in own.windings]
+    nodes = sorted({node for _, node in own.ends[:2]} & set(PHASES))
+    row = _between(circuit, name, first, second.bus, kv, 1, nodes, own.percent)
+    return {**row, **_core_percent(name)}
 
 
 def _between_lines(rated_kv: float, base_kv: float) -> float:
@@ -679,11 +631,11 @@ def _between_lines(rated_kv: float, base_kv: float) -> float:
     return float(min((rated_kv, rated_kv * np.sqrt(3)), key=lambda kv: abs(kv - base_kv)))
 
 
-def _causes(solved: bool) -> Iterator[list[Any]]:
+def _causes(circuit: Circuit, solved: bool) -> Iterator[list[Any]]:
     """Causes of differences that the balanced equivalent of constant powers has, in kW."""
     drawn_kw: dict[str, float] = {}
     single_kw = 0.0
-    for name in _of("load"):
+    for name in circuit.of("load"):
         few = dss.CktElement.NumPhases() < THREE_PHASES
         dss.Loads.Name(name)
         model, kw = int(dss.Loads.Model()), float(dss.Loads.kW())
@@ -696,41 +648,51 @@ def _causes(solved: bool) -> Iterator[list[Any]]:
     if single_kw:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
     if solved:
-        yield from beyond()
+        yield from beyond(circuit)
 
 
-def beyond() -> Iterator[list[Any]]:
-    """Loads whose voltage in the solution is one at which OpenDSS takes another model for them."""
-    found: dict[str, float] = {}
-    for name in _of("load"):
+def beyond(circuit: Circuit) -> Iterator[list[Any]]:
+    """Loads whose voltage in the solution is one at which OpenDSS takes another model for them.
+
+    An impedance stays one.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for name in circuit.of("load"):
+        dss.Loads.Name(name)
+        if dss.Loads.Model() == CONSTANT_IMPEDANCE or dss.Solution.LoadModel() == ADMITTANCE:
+            continue
         flat = np.asarray(dss.CktElement.Voltages())
         volts = flat[::2] + 1j * flat[1::2]
         n = dss.CktElement.NumPhases()
-        dss.Loads.Name(name)
-        pairs = range(n)
         delta = bool(dss.Loads.IsDelta())
         kv = float(dss.Loads.kV()) / (1.0 if delta or n == 1 else np.sqrt(3))
-        other = [volts[(i + 1) % len(volts)] if delta else volts[-1] for i in pairs]
-        pu = [abs(volts[i] - other[i]) / (kv * 1000.0) for i in pairs]
+        other = [volts[(i + 1) % len(volts)] if delta else volts[-1] for i in range(n)]
+        pu = [abs(volts[i] - other[i]) / (kv * V_PER_KV) for i in range(n)]
         if min(pu) < dss.Loads.Vminpu() or max(pu) > dss.Loads.Vmaxpu():
-            found[f"load.{name} ({min(pu):.3f} pu)"] = float(dss.Loads.kW())
+            found[f"load.{name} ({min(pu):.3f} pu)"] = dss.Loads.kW(), power_drawn().real
     if found:
-        kw = sum(found.values())
-        names = ", ".join(list(found)[:MOST_NAMED])
-        more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
+        kw, drawn_kw = map(sum, zip(*found.values(), strict=True))
         yield [
             kw,
             "loads outside their vminpu and vmaxpu in the source's solution, where OpenDSS gives "
-            f"them a constant impedance, {kw:.4g} kW: {names}{more}",
+            f"them a constant impedance, so that they draw {drawn_kw:.4g} kW instead of "
+            f"{kw:.4g} kW: {_first(found)}",
         ]
 
 
-def _powers(solved: bool) -> Iterator[dict[str, Any]]:
+def _first(names: Iterable[str]) -> str:
+    """The first of some names, and how many there are beyond."""
+    kept = list(names)
+    more = f" and {len(kept) - MOST_NAMED} more" if len(kept) > MOST_NAMED else ""
+    return ", ".join(kept[:MOST_NAMED]) + more
+
+
+def _powers(circuit: Circuit, solved: bool) -> Iterator[dict[str, Any]]:
     """Loads, generators and batteries with their powers."""
     for kind in POWERS:
-        for name in _of(kind):
-            bus = _buses()[0]
-            nodes = _phases_of_active()
+        for name in circuit.of(kind):
+            bus = buses()[0]
+            nodes = circuit.phases()
             yield {
                 "kind": kind,
                 "name": name,
@@ -740,11 +702,11 @@ def _powers(solved: bool) -> Iterator[dict[str, Any]]:
             }
 
 
-def _shapes() -> dict[str, Any]:
+def _shapes(circuit: Circuit) -> dict[str, Any]:
     """Daily shapes that loads and PV follow over time: whose, and their values."""
     follows: dict[str, str] = {}
     for kind in ("load", "pvsystem"):
-        for name in _of(kind):
+        for name in circuit.of(kind):
             shape = text_of(f"{kind}.{name}.daily")
             if shape and shape != "default":
                 follows[f"{kind}.{name}"] = shape
@@ -779,7 +741,7 @@ def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
         return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
     element = f"{kind}.{name}"
     dss.Circuit.SetActiveElement(element)
-    drawn = elements().power_drawn() if solved else 0j
+    drawn = power_drawn() if solved else 0j
     if kind == "generator":
         dss.Generators.Name(name)
         p_kw = float(dss.Generators.kW())
@@ -814,48 +776,39 @@ def _battery(element: str) -> dict[str, float]:
     }
 
 
-def _phases_of_active() -> list[int]:
-    """Phases that the active element's first terminal is at, from 1 to 3."""
-    ends = elements().nodes_of()[: dss.CktElement.NumConductors()]
-    held = [elements().held_by(end) for end in ends]
-    return sorted({node for (_, node), share in held if share} & set(PHASES))
-
-
-def _single_phases() -> dict[str, list[int]]:
+def _single_phases(circuit: Circuit) -> dict[str, list[int]]:
     """Of each kind, how many elements have fewer than three phases, and how many there are."""
     found = {}
     for kind in ("line", "transformer", *POWERS):
-        phases = [_live_phases(kind) for _ in _of(kind)]
+        phases = [_live_phases(circuit, kind) for _ in circuit.of(kind)]
         few = sum(count < THREE_PHASES for count in phases)
         if few:
             found[kind] = [few, len(phases)]
     return found
 
 
-def _live_phases(kind: str) -> int:
+def _live_phases(circuit: Circuit, kind: str) -> int:
     """Phases that the active element has, less those with an open conductor at either end.
 
     One that is open as a whole has all of them.
     """
-    own = int(min(dss.CktElement.NumPhases(), len(_phases_of_active()) or THREE_PHASES))
+    own = int(min(dss.CktElement.NumPhases(), len(circuit.phases()) or THREE_PHASES))
     if kind != "line":
         return own
     if own < min(dss.CktElement.NumPhases(), THREE_PHASES):
         return own
-    terminals = range(1, dss.CktElement.NumTerminals() + 1)
-    conductors = range(1, dss.CktElement.NumConductors() + 1)
-    shut = [not any(dss.CktElement.IsOpen(end, one) for end in terminals) for one in conductors]
-    return min(own, sum(shut)) if any(shut) else own
+    through = [all(ends) for ends in zip(*shut(), strict=True)]
+    return min(own, sum(through)) if any(through) else own
 
 
-def _notes_on_balance() -> Iterator[str]:
+def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
     """Notes on the simplifications of the balanced equivalent."""
     yield (
         "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
         "of single phases count as spread over three. Voltages are compared with the mean of the "
         "phases in OpenDSS's own solution of the circuit as it is."
     )
-    few, count = _single_phases().get("line", (0, 0))
+    few, count = _single_phases(circuit).get("line", (0, 0))
     if few:
         yield (
             f"{few} of {count} lines have fewer than three phases; their impedance is "
@@ -863,36 +816,36 @@ def _notes_on_balance() -> Iterator[str]:
         )
 
 
-def _notes(solved: bool) -> Iterator[str]:
+def _notes(circuit: Circuit, solved: bool) -> Iterator[str]:
     """Notes on elements that are modelled as something else, balanced or by phase."""
-    if LEFT_OUT:
-        yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
-    for control, why in REFUSED_CONTROLS.items():
+    if circuit.left_out:
+        yield f"Options of 'set' are left out: {', '.join(circuit.left_out)}."
+    for control, why in circuit.refused.items():
         yield f"{control} is left out, as OpenDSS refuses it ({why})."
-    for bus, kv in MOVED.items():
+    for bus, kv in circuit.moved.items():
         yield (
             f"Bus {bus} has {kv:g} kV, by the rating of its transformer: OpenDSS takes another "
             "level of 'voltagebases' for it."
         )
-    unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in _of("line")]
+    unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in circuit.of("line")]
     if any(unrated):
         yield (
             f"{sum(unrated)} of {len(unrated)} lines have {DEFAULT_AMPS:g} A, which OpenDSS gives "
             "to lines without a rating: they have none here."
         )
-    held = [_set_point(name) for name in list(_of("regcontrol"))]
+    held = [_set_point(name) for name in list(circuit.of("regcontrol"))]
     if held:
         yield (
             "Regulators are controlled in the source, and stay at the taps of its solution, "
             f"by phase in islands at nominal ones: {', '.join(held)}."
         )
-    yield from _notes_on_legs()
-    yield from _notes_on_controls(solved)
+    yield from _notes_on_legs(circuit)
+    yield from _notes_on_controls(circuit, solved)
 
 
-def _notes_on_legs() -> Iterator[str]:
+def _notes_on_legs(circuit: Circuit) -> Iterator[str]:
     """Note that both legs behind a service transformer count as one voltage."""
-    count = sum(elements().middle() is not None for _ in _of("transformer"))
+    count = sum(middle() is not None for _ in circuit.of("transformer"))
     if count:
         yield (
             f"{count} transformers have the middle of their secondary at ground: both legs behind "
@@ -901,27 +854,26 @@ def _notes_on_legs() -> Iterator[str]:
         )
 
 
-def _notes_on_controls(solved: bool) -> Iterator[str]:
+def _notes_on_controls(circuit: Circuit, solved: bool) -> Iterator[str]:
     """Notes on controls of the source, which stay in their last state."""
     acting = [
-        element for element in _elements()
+        element for element in circuit.elements
         if element.partition(".")[0] in CONTROLS - {"regcontrol", "swtcontrol"}
     ]  # fmt: skip
     if acting:
-        more = f" and {len(acting) - MOST_NAMED} more" if len(acting) > MOST_NAMED else ""
         states = [
             f"capacitor.{name} {'in' if sum(dss.Capacitors.States()) else 'out'}"
-            for name in _of("capacitor")
+            for name in circuit.of("capacitor")
             if dss.Capacitors.Name(name) is None
         ]
-        left = f": {', '.join(states[:MOST_NAMED])}" if states else ""
+        left = f": {_first(states)}" if states else ""
         yield (
             f"Controls act in the source's solution, and what they switch or set stays so"
-            f"{left} ({', '.join(acting[:MOST_NAMED])}{more})."
+            f"{left} ({_first(acting)})."
         )
     idle_kw = [
         number(f"storage.{name}.kwrated") * number(f"storage.{name}.%idlingkw") / 100.0
-        for name in _of("storage")
+        for name in circuit.of("storage")
     ]
     if idle_kw:
         yield (
@@ -935,11 +887,10 @@ def _notes_on_controls(solved: bool) -> Iterator[str]:
             )
 
 
-@cache
-def regulated() -> dict[str, int]:
+def regulated(circuit: Circuit) -> dict[str, int]:
     """Transformers with a regulator, and the winding whose taps it moves."""
     found = {}
-    for name in _of("regcontrol"):
+    for name in circuit.of("regcontrol"):
         dss.RegControls.Name(name)
         found[dss.RegControls.Transformer().lower()] = int(dss.RegControls.TapWinding())
     return found

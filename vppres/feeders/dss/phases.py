@@ -66,7 +66,7 @@ def phased_source(
     circuit in ``source_flow``. Elements in ``disabled`` are out of service, less those the tree
     alone cannot have: they join the source to a conductor that nothing else does.
     """
-    found = confined("dss/by_phase", {**job, "disabled": disabled}, name, limit_s(job))
+    found = confined("dss.by_phase", {**job, "disabled": disabled}, name, limit_s(job))
     if found["problems"]:
         problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
         raise InputError(folded(problems))

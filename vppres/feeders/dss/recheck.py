@@ -156,7 +156,7 @@ def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
     """Solve a job that has the circuit's commands, or return its problems."""
     job = {"constant_power": False, **job}
     limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
-    found = confined("dss/day", job, name, limit_s)
+    found = confined("dss.day", job, name, limit_s)
     if found["problems"]:
         return found
     lost = [np.nan] * 2 * len(found["nodes"])

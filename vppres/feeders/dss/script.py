@@ -12,10 +12,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
+from vppres.feeders.dss.refused import RefusedLine, cut
 from vppres.feeders.strangers.confined import TIME_LIMIT_S
 from vppres.feeders.strangers.files import MOST_PROBLEMS, read_bytes, read_text
 
@@ -30,7 +31,6 @@ LARGEST_SIZE = 1e15
 MOST_COMMANDS = 200_000
 MOST_REFUSED = 500  # a file with that many is not a network with a line too much
 LONGEST_LINE = 1_000_000
-SHOWN = 40  # characters of a refused word: enough to find it
 
 _LINES = re.compile(r"\r\n|\n|\r")
 _CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f]")
@@ -85,19 +85,27 @@ LIBRARIES = frozenset(
 Job = dict[str, Any]
 
 
+class Value(NamedTuple):
+    """A value of a command.
+
+    ``name`` is empty where it was written without one, ``quote`` is the character that the text was
+    opened with, empty without.
+    """
+
+    name: str
+    text: str
+    quote: str
+
+
 @dataclass(frozen=True)
 class Command:
-    """A command, and where it comes from.
-
-    ``values`` are ``[name, text, quote]``: the name empty where there is none, the quote the
-    character that the text was opened with, empty without.
-    """
+    """A command, and where it comes from."""
 
     file: str
     row: int
     verb: str
     target: str = ""
-    values: tuple[tuple[str, str, str], ...] = ()
+    values: tuple[Value, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,29 +131,6 @@ class Script:
 def limit_s(job: Job) -> float:
     """How long the engine may take for a job."""
     return TIME_LIMIT_S + len(job["commands"]) / COMMANDS_PER_S
-
-
-class _Refused(Exception):
-    """Why a line is refused, and the cure."""
-
-    def __init__(self, message: str, cure: str) -> None:
-        super().__init__(message)
-        self.message = message
-        self.cure = cure
-
-
-@dataclass(frozen=True)
-class _Value:
-    """A value of a command; ``name`` is empty where it was written without one."""
-
-    name: str
-    text: str
-    quote: str
-
-    @property
-    def words(self) -> tuple[str, str, str]:
-        """As the engine gets it."""
-        return self.name, self.text, self.quote
 
 
 def read_script(master: Path) -> Script:
@@ -210,9 +195,8 @@ class _Reader:
             try:
                 for verb, target, values in self._checked(line, base, library):
                     _check_sizes(values)
-                    words = tuple(value.words for value in values)
-                    self.commands.append(Command(shown, row, verb, target, words))
-            except _Refused as refused:
+                    self.commands.append(Command(shown, row, verb, target, tuple(values)))
+            except RefusedLine as refused:
                 self.problems.append(Problem(shown, refused.message, refused.cure, row=row))
             if len(self.problems) == MOST_REFUSED:
                 raise InputError(folded_lines(self.problems, shown))
@@ -226,7 +210,7 @@ class _Reader:
 
     def _checked(
         self, line: str, base: list[Path], library: bool
-    ) -> Iterator[tuple[str, str, list[_Value]]]:
+    ) -> Iterator[tuple[str, str, list[Value]]]:
         """Verb, element and values of a line; none of one that redirects or is left out."""
         values = _values(line)
         if not values:
@@ -235,18 +219,20 @@ class _Reader:
         verb = _verb(first)
         known = ("", *CONTINUES, *ELEMENTS, *READS)
         if verb not in known and library:  # nothing of it is shown: it may be any file
-            raise _Refused(
+            raise RefusedLine(
                 "is not a data sheet",
                 f"A file above the master's folder may only define {', '.join(sorted(LIBRARIES))}.",
             )
         if verb is None:
-            raise _Refused(
-                f"'{_cut(first.text)}' is not a command that a network needs",
+            raise RefusedLine(
+                f"'{cut(first.text)}' is not a command that a network needs",
                 "Remove the line: only commands that build the network are read.",
             )
         if verb in CONTINUES:
             if not self.kind and not self.refused:
-                raise _Refused("continues nothing", "Put it after the element that it belongs to.")
+                raise RefusedLine(
+                    "continues nothing", "Put it after the element that it belongs to."
+                )
             if not self.refused:
                 self._attach(rest, base[0])
                 yield "~", self.kind, rest
@@ -260,7 +246,7 @@ class _Reader:
         elif verb in READS:
             self._redirect(verb, rest, base, library)
         elif verb in LEFT_OUT or (verb == "solve" and rest):
-            words = verb if verb in LEFT_OUT else f"{verb} {_cut(rest[0].name or rest[0].text)}"
+            words = verb if verb in LEFT_OUT else f"{verb} {cut(rest[0].name or rest[0].text)}"
             self.left_out[words] = self.left_out.get(words, 0) + 1
         elif verb in CLEARS:
             if self.commands:
@@ -269,30 +255,34 @@ class _Reader:
             yield _switched(verb, rest)
         elif verb == SEVERAL:
             if not rest or rest[0].name:
-                raise _Refused("names no elements", "Write: batchedit class.names property=value.")
+                raise RefusedLine(
+                    "names no elements", "Write: batchedit class.names property=value."
+                )
             yield verb, _target(rest[0].text), rest[1:]
         else:
             yield verb, "", rest
 
-    def _redirect(self, verb: str, rest: list[_Value], base: list[Path], library: bool) -> None:
+    def _redirect(self, verb: str, rest: list[Value], base: list[Path], library: bool) -> None:
         """Read another file instead of the line; ``compile`` stays in that file's folder."""
         if len(rest) != 1 or rest[0].name:
-            raise _Refused("does not name one file", "Write: redirect file.dss.")
+            raise RefusedLine("does not name one file", "Write: redirect file.dss.")
         name = rest[0].text.strip().replace("\\", "/")
         path, above = self._inside(name, base[0])
         if path in self.seen:
-            raise _Refused(
-                f"redirects to {_cut(name)}, which is read already",
+            raise RefusedLine(
+                f"redirects to {cut(name)}, which is read already",
                 "Each file is read once: remove the line.",
             )
         if self.depth >= DEEPEST or len(self.seen) >= MOST_FILES:
-            raise _Refused(
-                f"redirects to {_cut(name)}, but files are read {DEEPEST} deep and "
+            raise RefusedLine(
+                f"redirects to {cut(name)}, but files are read {DEEPEST} deep and "
                 f"{MOST_FILES} in all at most",
                 "Put them into fewer files.",
             )
         if not path.is_file():
-            raise _Refused(f"redirects to {_cut(name)}: there is no such file", "Correct the path.")
+            raise RefusedLine(
+                f"redirects to {cut(name)}: there is no such file", "Correct the path."
+            )
         self.depth += 1
         # Continued lines belong to the file that they are in, as they do in OpenDSS.
         self.kind, self.refused = "", False
@@ -306,8 +296,8 @@ class _Reader:
         """A file that may be read, and whether it lies beside the root."""
         given = PurePosixPath(name)
         if given.is_absolute() or not _FILE.fullmatch(name):
-            raise _Refused(
-                f"names the file {_cut(name)}",
+            raise RefusedLine(
+                f"names the file {cut(name)}",
                 "Name a file below the master's folder, relative to the file that names it.",
             )
         path = _resolved(base, given)
@@ -315,45 +305,45 @@ class _Reader:
             return path, False
         if path.parent == self.root.parent and path.suffix.lower() == ".dss":
             return path, True
-        raise _Refused(
-            f"leads out of the master's folder: {_cut(name)}",
+        raise RefusedLine(
+            f"leads out of the master's folder: {cut(name)}",
             "Copy the file into the folder, and name it from there.",
         )
 
     def _property_line(
-        self, values: list[_Value], base: Path, library: bool
-    ) -> tuple[str, str, list[_Value]]:
+        self, values: list[Value], base: Path, library: bool
+    ) -> tuple[str, str, list[Value]]:
         """``class.name.property=value``, as an edit of the element."""
         kind, _, rest = values[0].name.partition(".")
         element, _, name = rest.rpartition(".")
         if not element:
-            raise _Refused(
-                f"'{_cut(values[0].name)}' names no element", "Write class.name.property=value."
+            raise RefusedLine(
+                f"'{cut(values[0].name)}' names no element", "Write class.name.property=value."
             )
-        target = _Value("", f"{kind}.{element}", "")
-        first = _Value(name, values[0].text, values[0].quote)
+        target = Value("", f"{kind}.{element}", "")
+        first = Value(name, values[0].text, values[0].quote)
         return self._element("edit", [target, first, *values[1:]], base, library)
 
     def _element(
-        self, verb: str, values: list[_Value], base: Path, library: bool
-    ) -> tuple[str, str, list[_Value]]:
+        self, verb: str, values: list[Value], base: Path, library: bool
+    ) -> tuple[str, str, list[Value]]:
         """``new`` and ``edit``."""
         if not values or values[0].name.lower() not in ("", "object"):
-            raise _Refused(
+            raise RefusedLine(
                 f"'{verb}' names no element", f"Write: {verb} class.name property=value."
             )
         target = _target(values[0].text)
         kind = target.partition(".")[0].lower()
         if library and kind not in LIBRARIES:
-            raise _Refused(
-                f"defines a {_cut(kind)} above the master's folder",
+            raise RefusedLine(
+                f"defines a {cut(kind)} above the master's folder",
                 "Copy the file into the folder: from above it only data sheets are read.",
             )
         self.kind = kind
         self._attach(values[1:], base)
         return verb, target, values[1:]
 
-    def _attach(self, values: list[_Value], base: Path) -> None:
+    def _attach(self, values: list[Value], base: Path) -> None:
         """Read the files that a shape may have its values in; which are, the engine says."""
         if self.kind not in SHAPES:
             return
@@ -362,7 +352,7 @@ class _Reader:
                 name = word.replace("\\", "/")
                 try:
                     path, above = self._inside(name, base)
-                except _Refused:
+                except RefusedLine:
                     continue
                 if not above and path.is_file() and word not in self.files:
                     content = read_bytes(path, self.bytes_left, name)
@@ -402,14 +392,14 @@ def _after_comment(line: str) -> tuple[bool, str]:
     return not end, rest
 
 
-def _values(line: str) -> list[_Value]:
+def _values(line: str) -> list[Value]:
     """Names and values of a line up to its comment, split where OpenDSS splits them."""
     line = line.rstrip("\0\x1a")  # what some editors and systems end a line or a file with
     if _CONTROL.search(line):
-        raise _Refused("has a control character", "Remove it.")
+        raise RefusedLine("has a control character", "Remove it.")
     if len(line) > LONGEST_LINE:
-        raise _Refused(f"has more than {LONGEST_LINE} characters", "Divide it with ~.")
-    found: list[_Value] = []
+        raise RefusedLine(f"has more than {LONGEST_LINE} characters", "Divide it with ~.")
+    found: list[Value] = []
     name = ""
     at = 0
     while True:
@@ -422,24 +412,24 @@ def _values(line: str) -> list[_Value]:
         if equals is not None and not name:
             name, at = text.strip(), equals.end()
             if not name:
-                raise _Refused("has a value without its name", "Write name=value.")
+                raise RefusedLine("has a value without its name", "Write name=value.")
             continue
-        found.append(_Value(name, text, quote))
+        found.append(Value(name, text, quote))
         name = ""
     if name:
-        raise _Refused(f"'{_cut(name)}' has no value", "Give it one.")
+        raise RefusedLine(f"'{cut(name)}' has no value", "Give it one.")
     return found
 
 
-def _check_sizes(values: list[_Value]) -> None:
+def _check_sizes(values: list[Value]) -> None:
     """Refuse numbers beyond all equipment: what they do elsewhere in the circuit hides them."""
     for value in values:
         if not _SIZE.match(value.name):
             continue
         for word in _NUMBER.findall(value.text):
             if abs(float(word)) > LARGEST_SIZE:
-                raise _Refused(
-                    f"has {_cut(value.name)} = {_cut(word)}, a size that no equipment has",
+                raise RefusedLine(
+                    f"has {cut(value.name)} = {cut(word)}, a size that no equipment has",
                     "Correct the number.",
                 )
 
@@ -450,19 +440,19 @@ def _token(line: str, at: int) -> tuple[str, str, int]:
     if quote:
         end = line.find(QUOTES[quote], at + 1)
         if end < 0:
-            raise _Refused("has a quote that is not closed", "Close it.")
+            raise RefusedLine("has a quote that is not closed", "Close it.")
         text, after = line[at + 1 : end], end + 1
     else:
         plain = _PLAIN.match(line, at)
         if plain is None:
-            raise _Refused("has an '=' without a name before it", "Write name=value.")
+            raise RefusedLine("has an '=' without a name before it", "Write name=value.")
         text, after = plain.group(), plain.end()
     if "@" in text:
-        raise _Refused("has '@', which stands for a variable", "Write the value.")
+        raise RefusedLine("has '@', which stands for a variable", "Write the value.")
     return text, quote, after
 
 
-def _verb(first: _Value) -> str | None:
+def _verb(first: Value) -> str | None:
     """The full name of a command's verb; empty for ``class.name.property=value``, None for none."""
     if first.name:
         return ""
@@ -476,30 +466,24 @@ def _verb(first: _Value) -> str | None:
 def _target(text: str) -> str:
     """The name of an element."""
     if not text.strip() or any(quote in text for quote in ('"', "=")):
-        raise _Refused(f"'{_cut(text)}' is not a name", "Give the element another name.")
+        raise RefusedLine(f"'{cut(text)}' is not a name", "Give the element another name.")
     return text.strip()
 
 
-def _switched(verb: str, values: list[_Value]) -> tuple[str, str, list[_Value]]:
+def _switched(verb: str, values: list[Value]) -> tuple[str, str, list[Value]]:
     """``open``, ``close``, ``enable`` and ``disable`` an element, by name or by place."""
     names = ("object", "term", "cond")
-    found: dict[str, _Value] = {}
+    found: dict[str, Value] = {}
     for position, value in enumerate(values):
         name = value.name.lower() or (names[position] if position < len(names) else "")
         full = next((each for each in names if name and each.startswith(name)), "")
         full = "term" if name == "terminal" else full
         if not full or (full != "object" and not value.text.strip().isdecimal()):
-            raise _Refused(
-                f"'{_cut(name or value.text)}' is not known here", f"Known: {', '.join(names)}."
+            raise RefusedLine(
+                f"'{cut(name or value.text)}' is not known here", f"Known: {', '.join(names)}."
             )
-        found[full] = _Value(full, value.text.strip(), "")
+        found[full] = Value(full, value.text.strip(), "")
     if "object" not in found:
-        raise _Refused(f"'{verb}' names no element", f"Write: {verb} line.name.")
+        raise RefusedLine(f"'{verb}' names no element", f"Write: {verb} line.name.")
     target = _target(found.pop("object").text)
     return verb, target, [*found.values()]
-
-
-def _cut(text: str) -> str:
-    """A word of a stranger as far as it is needed to find it, without control characters."""
-    shown = "".join(c if c.isprintable() else "?" for c in text)
-    return shown if len(shown) <= SHOWN else f"{shown[:SHOWN]}..."

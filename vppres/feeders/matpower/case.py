@@ -62,7 +62,7 @@ def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
 def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
     """A case in MATLAB's binary format, unpacked in a process of its own."""
     content = base64.b64encode(read_bytes(path, LARGEST_BYTES)).decode("ascii")
-    found = confined("matpower/binary", {"content": content}, path.name)
+    found = confined("matpower.binary", {"content": content}, path.name)
     if "error" in found:
         raise ValueError(found["error"])
     tables = found["tables"].items()

@@ -1,30 +1,22 @@
 """The process in which a library reads what a stranger wrote.
 
-Run by its path, without the package around it: it gets a job as JSON on its input, loads the engine
-that the job names, gives up what it does not need, and answers in JSON. It ends
-with the process that asks.
+Run by its path, without what the packages around it load: it gets a job as JSON on its input, loads
+the engine that the job names, gives up what it does not need, and answers in JSON. It ends with the
+process that asks.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
-ENGINES = {
-    "dss/commands": (),
-    "dss/nodes": (),
-    "dss/elements": ("dss/nodes",),
-    "dss/engine": ("dss/commands", "dss/elements"),
-    "matpower/binary": (),
-    "dss/day": ("dss/engine",),
-    "dss/by_phase": ("dss/engine",),
-}
-"""Engines of the room around this one, and others that each needs."""
+ENGINES = ("dss.engine", "dss.day", "dss.by_phase", "matpower.binary")
+"""Modules of the room around this one."""
 
 MEMORY_BYTES = 2 * 2**30
 """Of addresses: libraries and a feeder of some thousand buses take less than half of it."""
@@ -36,31 +28,26 @@ def main() -> None:
     out = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     job = json.load(sys.stdin)
-    _loaded(Path(__file__).parents[2] / "core" / "parent.py").end_with(*job["parent"])
+    _without_content("vppres", Path(__file__).parents[2])
+    _without_content("vppres.feeders", Path(__file__).parents[1])
+    from vppres.core.parent import end_with
+
+    end_with(*job["parent"])
     # OpenDSSDirect would take it for tables that are not used: half of the time to load.
     sys.modules["pandas"] = None  # type: ignore[assignment]
-    engine = _engine(job["engine"])
+    assert job["engine"] in ENGINES
+    engine = import_module(f"vppres.feeders.{job['engine']}")
     _confine(float(job["limit_s"]))
     answer = engine.answer(job)
     with os.fdopen(out, "w", encoding="utf-8") as stream:
         json.dump(answer, stream)
 
 
-def _engine(name: str) -> Any:
-    """An engine by its name; another that it needs is among the loaded ones."""
-    for needed in ENGINES[name]:
-        sys.modules[needed] = _engine(needed)
-    return _loaded(Path(__file__).parents[1] / f"{name}.py")
-
-
-def _loaded(file: Path) -> Any:
-    """A module by its file."""
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def _without_content(name: str, place: Path) -> None:
+    """Stand for a package by its folder alone: what it loads itself is not needed here."""
+    package = ModuleType(name)
+    package.__path__ = [str(place)]
+    sys.modules[name] = package
 
 
 def _confine(limit_s: float) -> None:
