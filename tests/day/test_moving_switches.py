@@ -15,6 +15,7 @@ from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
+from vppres.report.operating_order import shown_orders
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -94,12 +95,15 @@ def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
     run = explain_day(run_day(day, MOVING))
     words = "closing 3-4 serves 1 customer until 14:00"
     assert run.steps["switching_why"].iloc[2] == words
-    assert "2-4" in run.steps["switching_order"].iloc[2]
+    opens, closes = shown_orders(run)
+    assert opens.startswith("19 Jul 12:00: open 2-4: customer homes is without supply until 3-4")
+    assert closes.startswith("19 Jul 12:00: close 3-4: it supplies customer homes; lowest voltage")
     sentence = f"Closed 3-4, opened 2-4: {words}."
-    assert (2, sentence) in [(event.t, event.words) for event in events_of(run)]
-    told = run.explanations
-    assert told is not None
-    of_steps = told[told["item"] == "step"]["words"].tolist()
+    told = [(event.t, event.words) for event in events_of(run)]
+    assert (2, sentence) in told and (4, "Line 2-4 repaired.") in told
+    reasons = run.explanations
+    assert reasons is not None
+    of_steps = reasons[reasons["item"] == "step"]["words"].tolist()
     assert of_steps[2].endswith(sentence)
     assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
 

@@ -34,6 +34,7 @@ from vppres.day.trajectory import (
     SWITCHED,
     SWITCHES_OPEN,
     SWITCHING_AHEAD,
+    SWITCHING_ORDER,
     SWITCHING_WHY,
     Trajectory,
 )
@@ -315,7 +316,7 @@ class Day:
         arriving = {"p_ac_kw": ac.p_to_kw, "q_ac_kvar": ac.q_to_kvar}
         of_switches = {
             SWITCHED: switched.moved,
-            "switching_order": ". ".join(switched.order),
+            SWITCHING_ORDER: ". ".join(switched.order),
             SWITCHES_OPEN: branches.open_names(switched.closed),
             SWITCHING_AHEAD: switched.ahead,
             "switching_gain": switched.gain,

@@ -73,11 +73,13 @@ def _fault_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """Lines and buses that went out of service, and came back."""
     if LINES_OUT not in run.steps:
         return
+    # Where switches move, a repaired line may stay open until a plan closes it.
+    again = "repaired" if SWITCHED in run.steps else "in service again"
     out = [each.split(" and ") if each else [] for each in run.steps[LINES_OUT]]
     for t, (before, now) in enumerate(pairwise([[], *out, []])):
         for names, words in (
             ([n for n in now if n not in before], "out of service"),
-            ([n for n in before if n not in now], "in service again"),
+            ([n for n in before if n not in now], again),
         ):
             if names and t < len(out):
                 yield t, f"{named(names, NAMES_SHOWN).capitalize()} {words}."

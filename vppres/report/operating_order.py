@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.core.text import named
 from vppres.day.series import off_kw
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import SWITCHING_ORDER, Trajectory
 from vppres.kinds.customer.record import switched
 from vppres.report.clock import Clock
 
@@ -35,7 +35,7 @@ def operating_order(run: Trajectory) -> pd.DataFrame:
     order = np.lexsort((-c.weight[item], closes, step))
     step, item, closes = step[order], item[order], closes[order]
     demand_kw = run.by_step("customers", "p_load_kw")
-    written = run.steps["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_list()
+    written = _written(run)
     return pd.DataFrame(
         {
             "time": [written[t] for t in step],
@@ -50,15 +50,26 @@ def operating_order(run: Trajectory) -> pd.DataFrame:
 
 
 def order_lines(run: Trajectory) -> Iterator[str]:
-    """The operating order in sentences, one for each time: names, and what is off then."""
+    """The operating order in sentences: each operation of a switch, then customers by time."""
     clock = Clock.of(run)
-    for time, rows in operating_order(run).groupby("time", sort=True):
+    of_customers = dict(iter(operating_order(run).groupby("time")))
+    for t, time in enumerate(_written(run)):
+        when = clock.at(t)
+        if SWITCHING_ORDER in run.steps and run.steps[SWITCHING_ORDER][t]:
+            yield from (f"{when}: {each}." for each in run.steps[SWITCHING_ORDER][t].split(". "))
+        if time not in of_customers:
+            continue
+        rows = of_customers[time]
         said = [
             f"{action} {named(list(names), NAMES_SHOWN)}"
             for action, names in rows.groupby("action", sort=True)["customer"]
         ]
-        off = float(rows["off_kw"].iloc[0])
-        yield f"{clock.words(pd.Timestamp(str(time)))}: {'; '.join(said)}. Off then: {off:,.1f} kW."
+        yield f"{when}: {'; '.join(said)}. Off then: {float(rows['off_kw'].iloc[0]):,.1f} kW."
+
+
+def _written(run: Trajectory) -> list[str]:
+    """Times of the steps as the order has them."""
+    return list(run.steps["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ"))
 
 
 def shown_orders(run: Trajectory) -> list[str]:
