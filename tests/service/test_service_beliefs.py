@@ -40,7 +40,7 @@ STORM = {
 
 
 @contextmanager
-def believing(tiny: Scenario, folder: Path, outages: str = "belief") -> Iterator[Any]:
+def believing(tiny: Scenario, folder: Path, outages: str | None = "belief") -> Iterator[Any]:
     """A service of a feeder where every outage is announced, at noon."""
     quiet = replace(site(tiny), outage_statistics=OutageStatistics("none"))
     clock = SetClock(NOON)
@@ -101,6 +101,16 @@ def test_the_more_likely_an_outage_the_more_is_kept(tiny: Scenario, tmp_path: Pa
             charged.append(sum(one["p_kw"] for one in said(plan, "batteries").values()))
     assert charged == sorted(charged)
     assert charged[0] < 0.5 * charged[2]
+
+
+@pytest.mark.parametrize("outages", [None, "known", "belief"])
+def test_a_plan_tells_the_probability_of_an_outage_that_is_announced(
+    tiny: Scenario, tmp_path: Path, outages: str | None
+) -> None:
+    outage = {"type": "outage", "start": "2026-11-21T13:20:00Z", "end": "2026-11-21T15:00:00Z"}
+    with believing(tiny, tmp_path, outages) as (http, clock):
+        http.put("/v1/events/storm", outage)
+        assert decided(http, clock, NOON)["outage_probability"][:4] == [0.0, 1.0, 1.0, 0.0]
 
 
 @pytest.mark.nightly

@@ -149,10 +149,9 @@ class Runner:
         self.length = self.scenario.grid.step
         self.profile = profile
         most_s = DEADLINE_SHARE * self.scenario.grid.dt_h * 3600.0
-        limits = service.options.limits
-        self.options = replace(
-            service.options, limits=replace(limits, time_s=min(limits.time_s, most_s))
-        )
+        options = service.options.on(service.scenario)
+        limits = replace(options.limits, time_s=min(options.limits.time_s, most_s))
+        self.options = replace(options, limits=limits)
         self.heard: list[Heard] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] = store.last_step()
