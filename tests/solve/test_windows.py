@@ -422,24 +422,11 @@ def test_solver_that_wrongly_claims_infeasibility_is_not_believed() -> None:
     assert len(case.scenario.batteries) == 0
     whole = random_answer(*WRONGLY_INFEASIBLE, "monolithic", "highs")[1]
     alone = [
-        WindowSolver(Site.of(case.scenario), "decomposed").solve(step_of(case.data, t))
+        WindowSolver(Site.of(case.scenario), "decomposed").solve(case.data.part(slice(t, t + 1)))
         for t in range(case.data.n_steps)
     ]
     assert whole.objective == pytest.approx(sum(a.objective for a in alone), abs=2e-4)
     assert_sound(*case, WindowSolver(Site.of(case.scenario), "decomposed", "scip").solve(case.data))
-
-
-def step_of(data: WindowData, t: int) -> WindowData:
-    """One step of a window as a window of its own."""
-    rows = slice(t, t + 1)
-    return replace(
-        data,
-        load_kw=data.load_kw[rows],
-        pv_kw=data.pv_kw[rows],
-        price_gbp_per_kwh=data.price_gbp_per_kwh[rows],
-        grid_limit_kw=data.grid_limit_kw[rows],
-        delta_pu2=data.delta_pu2[rows],
-    )
 
 
 # Certificates: what status and bounds mean.

@@ -144,7 +144,7 @@ def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
 
 
 def sun_used_and_left(site: Site, data: WindowData) -> tuple[Floats, Floats]:
-    """PV power behind the meters of customers who are all supplied, and the rest, (W, P) each."""
+    """PV power behind the meters if all customers are supplied, and the rest, (W, P) each."""
     usable_kw = np.minimum(data.pv_kw, site.pv.s_max_kva)
     own_kw = np.minimum(site.behind_meter(data.all_cold().load_kw), usable_kw)
     return own_kw, usable_kw - own_kw
