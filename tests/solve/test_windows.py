@@ -26,7 +26,6 @@ from tests.support.small_windows import (
 )
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError
 from vppres.io import find_scenario, read_scenario
-from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
