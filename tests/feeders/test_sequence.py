@@ -250,6 +250,14 @@ def test_a_former_holds_no_island_in_between_for_a_while() -> None:
     assert (order.operations or ())[0].interrupted == (3,)
 
 
+def test_the_voltage_of_the_source_is_in_no_margin() -> None:
+    """The grid holds the highest voltage that is allowed, whatever is switched."""
+    feeder = replace(ring(parallel_allowed=True), limits=ConfigurationLimits(0.8, 1.0))
+    order = safe_order(feeder, present(feeder), np.array([True, False, True, False]))
+    assert order.margin > 1e-3
+    assert all("highest voltage 0.99" in words for words in sentences(order))
+
+
 def random_feeder(seed: int) -> tuple[SwitchedFeeder, Flags, Flags]:
     """A feeder with numbers in no order, ratios, charging, and another of its configurations."""
     rng = np.random.default_rng(seed)
@@ -365,6 +373,9 @@ class Walked:
         if len(buses) > 1:
             v = voltages(1.0, bus, gen, self.branch[inside])
         limits = feeder.limits
+        v = v[1:]  # the source's is the same in every state
+        if not len(v):
+            return np.inf
         return float(min(v.min() - limits.v_min_pu, limits.v_max_pu - v.max()))
 
     def walk(self, now: Flags, then: Flags, order: tuple[int, ...]) -> tuple[float, float] | None:

@@ -482,6 +482,7 @@ class _Orders:
             if found is None:
                 return _Checked(None, current_a)
             v_pu[inside] = found.v_pu[inside]
+            v_pu[reference] = np.nan  # a source holds it in every state
             current_a += found.current_a
             if former is not None:
                 own = self._of_former(former, found)
@@ -493,7 +494,7 @@ class _Orders:
         """Distance of the voltage that is nearest to its limit."""
         limits = self.feeder.limits
         if np.isnan(v_pu).all():
-            return Margin(np.inf, "nothing is live")
+            return Margin(np.inf, "no bus but those of sources is live")
         low, high = int(np.nanargmin(v_pu)), int(np.nanargmax(v_pu))
         below, above = v_pu[low] - limits.v_min_pu, limits.v_max_pu - v_pu[high]
         at, kind, value = (low, "lowest", below) if below <= above else (high, "highest", above)
