@@ -104,6 +104,18 @@ def test_33_buses_to_their_optimum_without_a_loop() -> None:
 
 
 @pytest.mark.daily
+def test_what_a_fault_has_cut_off_comes_back_at_voltages_it_is_used_to() -> None:
+    """33 buses go down to 0.913 pu, with the fault to 0.938, with the tie to 0.921; 0.94 is lost."""
+    feeder = replace(of_ties(published()), limits=ConfigurationLimits(0.94, 1.06))
+    branch = feeder.names.index("6-7")
+    faulted = np.arange(len(feeder.switch)) == branch
+    closed = present(feeder) & ~faulted
+    then = closed | (np.array(feeder.names) == "21-8")
+    order = safe_order(replace(feeder, faulted=faulted), closed, then)
+    assert order.before.value > order.margin > -0.02
+    assert [one.switch for one in order.operations or ()] == ["21-8"]
+
+
 def test_a_state_that_is_beyond_its_limits_gets_no_worse() -> None:
     """0.913 pu at first and 0.94 allowed: each state is beyond, and nearer than the first."""
     feeder = of_ties(published(), parallel_allowed=True)

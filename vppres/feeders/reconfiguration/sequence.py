@@ -217,8 +217,8 @@ class SwitchingOrder:
     all_orders : bool
         Whether all orders were compared.
     before : Margin
-        The least margin of the state before. Where it is below 0, states in between may be beyond
-        the limits too, but no further.
+        The least margin of the state before. Where it is below 0, or during a fault that of
+        the feeder without it, states may be beyond the limits too, but no further.
     """
 
     operations: tuple[Operation, ...] | None
@@ -340,9 +340,7 @@ class _Orders:
         every = len(self.branches) <= MOST_OPERATIONS
         if refused := next(self._refusals(), None):
             return SwitchingOrder(None, refused, every, start.least)
-        floor = [-np.inf] * 3
-        if start.margins is not None:
-            floor = [min(0.0, one.value) - WITHIN for one in start.margins]
+        floor = self._floor(start)
         if beyond := _beyond(self.check(tuple(self.branches.tolist()), cold), floor):
             reason = f"The state after all operations is beyond the limits: {beyond}."
             return SwitchingOrder(None, reason, every, start.least)
@@ -368,6 +366,23 @@ class _Orders:
         """Less is better: an interruption that goes on counts for the next operation."""
         missed_kw = self.missed_kw[~self.topology(way.done).live].sum()
         return way.key[0] + round(float(missed_kw) * LEAST_MINUTES, 9), way.key[1]
+
+    def _floor(self, start: _Checked) -> list[float]:
+        """Least margins that states may have: 0, or less where the feeder has less as it stands.
+
+        That is now, and during a fault with its own lines and nothing out: what the fault has cut
+        off may come back at the voltages that it is used to.
+        """
+        if start.margins is None:
+            return [-np.inf] * 3
+        least = [start.margins]
+        if self.feeder.grid and self.feeder.out.any():
+            own = np.arange(len(self.now)) < self.net.n_lines
+            cold = np.zeros(self.net.n_buses, dtype=bool)
+            usual = self._checked(own, self._parts(own), cold)
+            least += [usual.margins] if usual.margins is not None else []
+        kinds = zip(*least, strict=True)
+        return [min(0.0, *(one.value for one in kind)) - WITHIN for kind in kinds]
 
     def _refusals(self) -> Iterator[str]:
         """Why no order can exist, whatever the power flow: locks, faults, loops at the end."""
