@@ -151,8 +151,8 @@ class Day:
         self.options = options.on(scenario)
         self.faults = faults
         self.branches = Branches(scenario)
-        self.configured = in_configuration(self.branches, self.branches.closed)
-        self.plant = Plant(scenario, options.thermal, options.switching)
+        self._plants: dict[bytes, PlantIn] = {}
+        self._work_in(self._plant_in(self.branches.closed))
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults:
@@ -162,12 +162,8 @@ class Day:
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
         )
-        self.ac, self.island_ac = power_flows(scenario)
-        self.island = IslandPlant(self.plant, self.island_ac)
-        self.in_parts = PlantInParts(self.plant)
         moves = self.options.move_switches and scenario.switches.movable.any()
         self.recorder = Recorder(scenario, self.branches if moves else None)
-        self._plants: dict[bytes, PlantIn] = {}
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
@@ -299,16 +295,24 @@ class Day:
             self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
 
-    def _configure(self, closed: Flags) -> None:
-        """Go on with the plant of a configuration, in the state of the one before."""
+    def _plant_in(self, closed: Flags) -> PlantIn:
+        """The plant of a configuration, made once."""
         key = closed.tobytes()
         if key not in self._plants:
             self._plants[key] = PlantIn.of(self.branches, closed, self.options)
-        now, before = self._plants[key], self.plant
-        if now.plant is not before:
-            now.plant.go_on_from(before)
+        return self._plants[key]
+
+    def _work_in(self, now: PlantIn) -> None:
+        """Work with the plant of a configuration, and its power flows."""
         self.configured, self.plant, self.in_parts = now.day, now.plant, now.in_parts
         self.ac, self.island_ac, self.island = now.ac, now.island_ac, now.island
+
+    def _configure(self, closed: Flags) -> None:
+        """Go on with the plant of a configuration, in the state of the one before."""
+        now = self._plant_in(closed)
+        if now.plant is not self.plant:
+            now.plant.go_on_from(self.plant)
+        self._work_in(now)
 
     def _in_order(self, record: StepRecord, switched: Switched, ac: ACResult) -> StepRecord:
         """A record with buses and branches in the order of the day, and what was switched."""
