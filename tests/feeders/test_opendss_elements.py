@@ -281,6 +281,7 @@ OUT_OF_LIMITS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("name", OUT_OF_LIMITS)
 def test_loads_outside_their_limits_of_voltage_are_all_that_differs(
     name: str, tmp_path: Path

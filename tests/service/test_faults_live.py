@@ -212,6 +212,7 @@ def test_a_simulated_day_is_played_by_reports(seed: int, tmp_path: Path) -> None
         assert record.customers["off_by_fault"].tolist() == why
 
 
+@pytest.mark.daily
 def test_it_is_explained_and_exported(one_former: Scenario, tmp_path: Path) -> None:
     """The export knows each fault as the plans knew it, to its end or repair."""
     clock = SetClock(NOON)
