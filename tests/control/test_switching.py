@@ -54,7 +54,7 @@ def test_the_answer_is_the_best_of_all_configurations_of_a_hundred(seed: int) ->
 def test_no_loop_and_no_two_live_parts_joined(seed: int, mode: str) -> None:
     day = switched_day(seed)
     run = run_day(day, replace(MOVING, mode=mode, horizon_h=2.0))
-    branches = Branches(day)
+    branches = Branches.of(day)
     closed = configurations_of(run)
     if closed is None:
         return
@@ -66,8 +66,8 @@ def test_no_loop_and_no_two_live_parts_joined(seed: int, mode: str) -> None:
     v_pu = run.by_step("buses", "v_ac_pu")
     for t in range(1, len(closed)):
         before, after = closed[t - 1], closed[t]
-        out = in_configuration(branches, before).scenario.out_of_service(range(t - 1, t))
-        at = in_configuration(branches, before)
+        out = in_configuration(day, branches, before).scenario.out_of_service(range(t - 1, t))
+        at = in_configuration(day, branches, before)
         carrying = before & ~np.where(at.lines >= 0, out.lines[0][at.lines], True)
         source = blocks_of(branches.ends, carrying, day.network.n_buses)
         assert source is not None

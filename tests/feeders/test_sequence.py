@@ -46,12 +46,12 @@ def of_ties(feeder: SwitchedFeeder, **columns: object) -> SwitchedFeeder:
 
 def all_but(feeder: SwitchedFeeder, *opened: str) -> Flags:
     """The configuration in which some branches are open."""
-    return ~np.isin(feeder.names, opened)
+    return ~np.isin(feeder.branches.names, opened)
 
 
 def present(feeder: SwitchedFeeder) -> Flags:
     """The configuration of the network."""
-    return np.arange(len(feeder.names)) < feeder.network.n_lines
+    return np.arange(len(feeder.branches.names)) < feeder.network.n_lines
 
 
 def sentences(order: SwitchingOrder) -> list[str]:
@@ -107,10 +107,10 @@ def test_33_buses_to_their_optimum_without_a_loop() -> None:
 def test_what_a_fault_has_cut_off_comes_back_at_voltages_it_is_used_to() -> None:
     """33 buses go down to 0.913 pu, with the fault to 0.938, with the tie to 0.921; 0.94 is lost."""
     feeder = replace(of_ties(published()), limits=ConfigurationLimits(0.94, 1.06))
-    branch = feeder.names.index("6-7")
-    faulted = np.arange(len(feeder.switch)) == branch
+    branch = feeder.branches.names.index("6-7")
+    faulted = np.arange(len(feeder.branches)) == branch
     closed = present(feeder) & ~faulted
-    then = closed | (np.array(feeder.names) == "21-8")
+    then = closed | (np.array(feeder.branches.names) == "21-8")
     order = safe_order(replace(feeder, faulted=faulted), closed, then)
     assert order.before.value > order.margin > -0.02
     assert [one.switch for one in order.operations or ()] == ["21-8"]

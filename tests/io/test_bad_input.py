@@ -457,7 +457,7 @@ def test_what_is_read_of_mutated_folders_runs_to_the_end(
     folders, runs = (1000, 30) if nightly else (40, 1)
     finished = 0
     accepted = mutated(valid_texts, tmp_path, folders)
-    assert len(accepted) < folders
+    assert folders - len(accepted) > 13
     for number, scenario in enumerate(accepted[:runs]):
         options = RunOptions(horizon_h=3.0, mode=("paper", "physical")[number % 2])
         with suppress(InputError):  # refused by name, which is an answer

@@ -68,7 +68,7 @@ def configurations(branches: Branches, movable: Flags) -> Iterator[Flags]:
 
 def has_loop(branches: Branches, closed: Flags) -> bool:
     """Whether closed branches have a loop: more of them than their rank."""
-    n_buses = branches.scenario.network.n_buses
+    n_buses = branches.network.n_buses
     rows = np.zeros((int(closed.sum()), n_buses))
     for row, (a, b) in zip(rows, branches.ends[closed], strict=True):
         row[a], row[b] = 1.0, -1.0
@@ -77,13 +77,13 @@ def has_loop(branches: Branches, closed: Flags) -> bool:
 
 def best_by_trying(day: Scenario, options: RunOptions, seen: Observation) -> tuple[float, int]:
     """What the best configuration is worth by the monolith, less its operations, and how many."""
-    branches = Branches(day)
+    branches = Branches.of(day)
     out = seen.forecast.out
     movable = branches.movable(~branches.closed, out)
     steps = range(seen.t0, seen.t0 + len(seen.forecast.price_gbp_per_kwh))
     best, tried = -np.inf, 0
     for closed in configurations(branches, movable):
-        at = in_configuration(branches, closed).scenario
+        at = in_configuration(day, branches, closed).scenario
         forecast = replace(seen.forecast, out=at.out_of_service(steps, known_at=seen.t0))
         site = site_of(at, options.as_record())
         data = WindowData.of(replace(seen, forecast=forecast), site, options.centre)

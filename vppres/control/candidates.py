@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.configuration import blocks_of
-from vppres.scenario.faults import OutOfService
 
 MOST_TRIED = 20_000
 """Sets of operations that are looked at: all of them with up to 14 movable switches."""
@@ -168,10 +167,3 @@ class Reached:
         """Whether each part of it lies within one of others, (W, N), so that it serves no more."""
         joined: Wholes = np.take_along_axis(parts, self.parts, axis=1)
         return bool(np.array_equal(joined, parts))
-
-
-def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
-    """Branches that faults take out, (W, E), of lines and buses in the order of the day."""
-    found: Flags = np.asarray(out.buses[:, ends].any(axis=2))
-    found[:, : out.lines.shape[1]] |= out.lines
-    return found

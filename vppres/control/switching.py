@@ -16,7 +16,7 @@ import numpy as np
 from vppres.contract.decision import Decider, Decision, Switched
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.control.candidates import Candidates, Reached, out_of_branches
+from vppres.control.candidates import Candidates, Reached
 from vppres.control.guard.check import PAPER, Tolerances, violations
 from vppres.control.remembered import memory_of, put_back
 from vppres.control.step_state import StepState, network_state
@@ -34,9 +34,14 @@ from vppres.feeders.reconfiguration.sequence import (
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, curtailed_kw
 from vppres.model.site import Site
-from vppres.scenario.configuration import Branches, Configured, blocks_of, in_configuration
+from vppres.scenario.configuration import (
+    Branches,
+    Configured,
+    blocks_of,
+    in_configuration,
+    out_of_branches,
+)
 from vppres.scenario.faults import OutOfService
-from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -108,8 +113,8 @@ class Switching:
 
     Parameters
     ----------
-    branches : Branches
-        Lines and ties of the day.
+    day : Scenario
+        The day, in the configuration in which it begins.
     controller_of : callable
         Makes the controller of the day in a configuration.
     site_of : callable
@@ -137,7 +142,7 @@ class Switching:
 
     def __init__(
         self,
-        branches: Branches,
+        day: Scenario,
         controller_of: Callable[[Scenario], Decider],
         site_of: Callable[[Scenario], Site],
         solver_of: Callable[[Site], WindowSolver] | None,
@@ -146,8 +151,9 @@ class Switching:
         limits: SolveLimits,
         within: Tolerances = PAPER,
     ) -> None:
-        self.branches = branches
-        self.closed = branches.closed
+        self.day = day
+        self.branches = Branches.of(day)
+        self.closed = self.branches.closed
         self.centre = centre
         self.limits = limits
         self.within = within
@@ -179,7 +185,6 @@ class Switching:
         decision = search.certified()
         if found.waits:
             self._remember(here, found.memory)
-            decision = self._with_lines_of(here, observation, decision)
             return replace(decision, switched=replace(switched, ahead=words))
         self._operations.append((observation.t0, found.candidate.closed != self.closed))
         self.closed = found.candidate.closed
@@ -196,7 +201,7 @@ class Switching:
             if len(self._known) >= MOST_KEPT:
                 kept = self.closed.tobytes()
                 self._known = {kept: self._known[kept]}
-            day = in_configuration(self.branches, closed)
+            day = in_configuration(self.day, self.branches, closed)
             site = self._site_of(day.scenario)
             solver = None if self._solver_of is None else self._solver_of(site)
             self._known[key] = ControllerIn(closed, day, site, solver, self._controller_of)
@@ -238,7 +243,7 @@ class Switching:
             self.branches.movable(~self.closed, forecast.out) & self._allowed(observation.t0),
             self.branches.of_moves("operation_cost"),
             out,
-            self.branches.scenario.network.n_buses,
+            self.day.network.n_buses,
         )
         present = planned_of(Reached(reach, self.closed), stay, {})
         search = Search(self, observation, present, before, self.limits)
@@ -282,7 +287,7 @@ class Switching:
 
     def _allowed(self, t0: int) -> Flags:
         """Branches that have operations of 24 hours left."""
-        per_day = DAY_H / self.branches.scenario.grid.dt_h
+        per_day = DAY_H / self.day.grid.dt_h
         recent = [moved for t, moved in self._operations if t > t0 - per_day]
         done = np.sum(recent, axis=0) if recent else np.zeros(len(self.branches))
         return np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
@@ -306,7 +311,7 @@ class Switching:
     def sources_before(self, observation: Observation) -> Wholes:
         """Number of the live part in which each bus was in the step before, -1 in a dead one."""
         point = observation.operating_point
-        n_buses = self.branches.scenario.network.n_buses
+        n_buses = self.day.network.n_buses
         if point is None and observation.t0:
             return np.full(n_buses, -1)
         out = out_of_branches(self._out_before(observation.t0), self.branches.ends)[0]
@@ -319,13 +324,13 @@ class Switching:
 
     def _out_before(self, t0: int) -> OutOfService:
         """Lines and buses that were out in the step before, in the order of the day."""
-        day = self.branches.scenario
+        day = self.day
         earlier = replace(day.grid, start=day.grid.start - day.grid.step)
         return OutOfService.of(day.faults, day.network, earlier, range(t0, t0 + 1))
 
     def _gain_words(self, t0: int, search: Search) -> str:
         """Customers that the operations serve, and until when; or their worth."""
-        closed, grid = search.best.candidate.closed, self.branches.scenario.grid
+        closed, grid = search.best.candidate.closed, self.day.grid
         closing, opening = closed & ~self.closed, self.closed & ~closed
         verb, which = ("closing", closing) if closing.any() else ("opening", opening)
         what = f"{verb} {named([self.branches.names[i] for i in np.flatnonzero(which)])}"
@@ -350,10 +355,10 @@ class Switching:
         """
         here = self._in(self.closed)
         if np.array_equal(found.candidate.parts[0], stay.candidate.parts[0]):
-            decision = self._with_lines_of(here, observation, found.decision)
-            state = StepState.of(here.site, self._seen(here, observation), self.centre)
+            state = self._state(here, observation)
+            decision = self._with_lines_of(state, found.decision)
             if not violations(decision, state, self.within):
-                return replace(found, waits=True)
+                return replace(found, decision=decision, waits=True)
         order = self._order(observation, found)
         if order.operations is None:
             return None
@@ -364,15 +369,12 @@ class Switching:
 
         A fault that begins now comes after them.
         """
-        t0, day = observation.t0, self.branches.scenario
+        t0, day = observation.t0, self.day
         part = self._in(found.candidate.closed)
-        given = self._injections(part, observation, found.decision)
+        given = self._injections(self._state(part, observation), found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
-        before = self._out_before(t0)
-        faulted = np.zeros(len(self.branches), bool)
-        now = observation.forecast.out
-        faulted[: day.network.n_lines] = before.lines[0] & now.lines[0]
-        bus_out = before.buses[0] & now.buses[0]
+        before, now = self._out_before(t0), observation.forecast.out
+        out = OutOfService(before.lines & now.lines[:1], before.buses & now.buses[:1])
         dark = t0 > 0 and observation.operating_point is None
         net = day.network
         feeder = SwitchedFeeder(
@@ -383,25 +385,16 @@ class Switching:
             ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu, part.site.rated),
             grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
             formers=Formers.none() if dark else self._formers(observation, found.decision),
-            faulted=faulted,
-            bus_out=bus_out,
+            faulted=out_of_branches(out, self.branches.ends)[0],
+            bus_out=out.buses[0],
             movable=self.branches.movable(~self.closed, now),
-            customers=self._customers,
+            customers=day.customers.by_bus,
         )
         return safe_order(feeder, self.closed, found.candidate.closed)
 
-    @cached_property
-    def _customers(self) -> dict[BusId, list[str]]:
-        """Names of the customers of each bus."""
-        customers = self.branches.scenario.customers
-        found: dict[BusId, list[str]] = {}
-        for bus, name in zip(customers.bus, customers.id, strict=True):
-            found.setdefault(bus, []).append(str(name))
-        return found
-
     def _formers(self, observation: Observation, decision: Decision) -> Formers:
         """Batteries that can hold an island, with their set-points."""
-        day, plan, row = self.branches.scenario, decision.dispatch, decision.row
+        day, plan, row = self.day, decision.dispatch, decision.row
         b = day.batteries
         able = np.flatnonzero(day.formers & b.holds_energy(observation.soc))
         return Formers(
@@ -414,12 +407,13 @@ class Switching:
             plan.batt_q_kvar[row][able],
         )
 
-    def _injections(
-        self, part: ControllerIn, observation: Observation, decision: Decision
-    ) -> tuple[Floats, Floats]:
+    def _state(self, part: ControllerIn, observation: Observation) -> StepState:
+        """The observed step in a configuration."""
+        return StepState.of(part.site, self._seen(part, observation), self.centre)
+
+    def _injections(self, state: StepState, decision: Decision) -> tuple[Floats, Floats]:
         """Injections of the buses in a decision's step in kW and kvar, in a configuration."""
-        state = StepState.of(part.site, self._seen(part, observation), self.centre)
-        plan, row, site = decision.dispatch, decision.row, part.site
+        plan, row, site = decision.dispatch, decision.row, state.site
         served_kw = state.load_kw * plan.supplied[row]
         curtailed = curtailed_kw(site, plan.pv_curtailed_kw[row], state.pv_kw, served_kw)
         p_kw = {
@@ -436,12 +430,9 @@ class Switching:
         }
         return bus_injections(site, p_kw), bus_injections(site, q_kvar)
 
-    def _with_lines_of(
-        self, part: ControllerIn, observation: Observation, decision: Decision
-    ) -> Decision:
+    def _with_lines_of(self, state: StepState, decision: Decision) -> Decision:
         """A decision with the flows and voltages that its step has in another configuration."""
-        state = StepState.of(part.site, self._seen(part, observation), self.centre)
-        given = self._injections(part, observation, decision)
+        given = self._injections(state, decision)
         p_flow_kw, q_flow_kvar, v_pu = network_state(state, *given)
         plan, row = decision.dispatch, decision.row
         return replace(

@@ -29,7 +29,6 @@ from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.site import Site
-from vppres.scenario.configuration import Branches
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -120,7 +119,7 @@ def _switching(
     weighed_anew = options.shares_supply or (own is not None and own.weights is not None)
     guard = _guard_options(scenario, options, simulated=own is not None)
     return Switching(
-        Branches(scenario),
+        scenario,
         lambda day: make_controller(day, fixed, faults, own=own),
         lambda day: site_of(day, options.as_record()),
         None if weighed_anew else _solver_maker(replace(options, isolate=False)),

@@ -9,17 +9,14 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Wholes
 from vppres.day.trajectory import SWITCHES_OPEN, Trajectory
-from vppres.scenario.configuration import Branches, in_configuration
-
-APART = ", "
-"""Between names of open branches."""
+from vppres.scenario.configuration import APART, Branches, in_configuration
 
 
 def configurations_of(run: Trajectory) -> list[Flags] | None:
     """Branches that are closed in each step, (E,); None for a run that moves no switches."""
     if SWITCHES_OPEN not in run.steps:
         return None
-    names = Branches(run.scenario).names
+    names = Branches.of(run.scenario).names
     is_open = [set(words.split(APART)) for words in run.steps[SWITCHES_OPEN]]
     return [np.array([name not in those for name in names]) for those in is_open]
 
@@ -30,8 +27,8 @@ def run_in(run: Trajectory, closed: Flags) -> Trajectory:
     Flows and voltages of steps in other configurations stand where they mean least: at the buses,
     and over the lines that both have.
     """
-    branches = Branches(run.scenario)
-    day = in_configuration(branches, closed)
+    branches = Branches.of(run.scenario)
+    day = in_configuration(run.scenario, branches, closed)
     net = day.scenario.network
     n_steps = len(run.steps)
     buses = _rows(run.buses, n_steps, np.argsort(day.buses))

@@ -302,7 +302,7 @@ def line_current_a(trajectory: Trajectory) -> Floats:
     """
     net = trajectory.scenario.network
     s_kva = np.hypot(*(trajectory.by_step("lines", name) for name in ("p_ac_kw", "q_ac_kvar")))
-    first = Branches(trajectory.scenario).ends[: s_kva.shape[1], 0]
+    first = Branches.of(trajectory.scenario).ends[: s_kva.shape[1], 0]
     v_pu = trajectory.by_step("buses", "v_ac_pu")[:, first]
     live = np.nan_to_num(v_pu) > 0
     current = kva_to_a(s_kva, np.where(live, v_pu, 1.0) * net.base_kv)
@@ -312,7 +312,7 @@ def line_current_a(trajectory: Trajectory) -> Floats:
 def line_loading(trajectory: Trajectory) -> Floats:
     """Current of each line as a share of its rating, shape (T, L); NaN for lines without one."""
     current_a = line_current_a(trajectory)
-    rating = Branches(trajectory.scenario).rating_a[: current_a.shape[1]]
+    rating = Branches.of(trajectory.scenario).rating_a[: current_a.shape[1]]
     return current_a / np.where(np.isfinite(rating), rating, np.nan)
 
 

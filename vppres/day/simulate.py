@@ -128,9 +128,8 @@ class PlantIn:
     in_parts: PlantInParts
 
     @classmethod
-    def of(cls, branches: Branches, closed: Flags, options: RunOptions) -> PlantIn:
+    def of(cls, day: Configured, options: RunOptions) -> PlantIn:
         """The plant of a configuration, in its first state."""
-        day = in_configuration(branches, closed)
         plant = Plant(day.scenario, options.thermal, options.switching)
         ac, island_ac = power_flows(day.scenario)
         island = IslandPlant(plant, island_ac)
@@ -150,7 +149,7 @@ class Day:
         self.scenario = scenario
         self.options = options.on(scenario)
         self.faults = faults
-        self.branches = Branches(scenario)
+        self.branches = Branches.of(scenario)
         self._plants: dict[bytes, PlantIn] = {}
         self._work_in(self._plant_in(self.branches.closed))
         self.state = self.plant.initial_state()
@@ -299,7 +298,8 @@ class Day:
         """The plant of a configuration, made once."""
         key = closed.tobytes()
         if key not in self._plants:
-            self._plants[key] = PlantIn.of(self.branches, closed, self.options)
+            day = in_configuration(self.scenario, self.branches, closed)
+            self._plants[key] = PlantIn.of(day, self.options)
         return self._plants[key]
 
     def _work_in(self, now: PlantIn) -> None:
@@ -320,7 +320,7 @@ class Day:
         arriving = {"p_ac_kw": ac.p_to_kw, "q_ac_kvar": ac.q_to_kvar}
         of_switches = {
             SWITCHED: switched.moved,
-            SWITCHING_ORDER: ". ".join(switched.order),
+            SWITCHING_ORDER: "\n".join(switched.order),
             SWITCHES_OPEN: branches.open_names(switched.closed),
             SWITCHING_AHEAD: switched.ahead,
             "switching_gain": switched.gain,

@@ -83,7 +83,7 @@ def _loadings(run: Trajectory) -> Iterator[str]:
     loading = np.nan_to_num(line_loading(run))
     if (loading > 1.0).any():
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
-        lines = Branches(run.scenario)
+        lines = Branches.of(run.scenario)
         yield (
             f"Lines above their rating in {counted(int((loading > 1).any(axis=1).sum()), 'step')}: "
             f"at most {loading.max():.0%}, line {lines.from_bus[line]} to {lines.to_bus[line]}, "

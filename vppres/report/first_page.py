@@ -222,7 +222,7 @@ def _node_words(row: pd.Series[Any]) -> str:
 
 
 def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
-    lines = Branches(run.scenario)
+    lines = Branches.of(run.scenario)
     rated = run.scenario.network.has_ratings
     values = np.nan_to_num(line_loading(run) if rated else line_current_a(run))
     if not values.size:

@@ -55,8 +55,8 @@ def order_lines(run: Trajectory) -> Iterator[str]:
     of_customers = dict(iter(operating_order(run).groupby("time")))
     for t, time in enumerate(_written(run)):
         when = clock.at(t)
-        if SWITCHING_ORDER in run.steps and run.steps[SWITCHING_ORDER][t]:
-            yield from (f"{when}: {each}." for each in run.steps[SWITCHING_ORDER][t].split(". "))
+        if SWITCHING_ORDER in run.steps:
+            yield from (f"{when}: {each}." for each in run.steps[SWITCHING_ORDER][t].splitlines())
         if time not in of_customers:
             continue
         rows = of_customers[time]

@@ -101,6 +101,14 @@ class Customers(Items):
             raise InputError(problems)
 
     @property
+    def by_bus(self) -> dict[Any, list[str]]:
+        """Names of the customers of each bus that has some."""
+        found: dict[Any, list[str]] = {}
+        for bus, name in zip(self.bus, self.id, strict=True):
+            found.setdefault(bus, []).append(str(name))
+        return found
+
+    @property
     def q_per_p(self) -> Floats:
         """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``, negative if leading."""
         return np.tan(np.arccos(self.power_factor))

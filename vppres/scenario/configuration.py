@@ -19,49 +19,49 @@ from vppres.core.text import named
 from vppres.scenario.faults import LineFault, OutOfService
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.switches import OF_THE_LINE, Switches
+from vppres.scenario.switches import OF_THE_LINE, SWITCH_DEFAULTS, Switches
 
-OF_MOVES = ("operation_cost", "max_operations_per_day", "parallel_allowed", "sync_check")
-"""Columns of switches that say what an operation costs and when it is allowed."""
-
-NO_SWITCH = {
-    "operation_cost": 0.0,
-    "max_operations_per_day": np.inf,
-    "parallel_allowed": False,
-    "sync_check": False,
-}
-"""The same of a line without a switch, which a fault opens and a crew closes."""
+APART = ", "
+"""Between names of open branches."""
 
 
 @dataclass(frozen=True, eq=False)
 class Branches:
-    """Lines and open ties of a scenario, (E,) each.
+    """Lines and open ties of a feeder, (E,) each.
 
     Parameters
     ----------
-    scenario : Scenario
-        The day, in the configuration in which it begins.
+    network : Network
+        The lines, in the configuration in which a day begins.
+    switches : Switches
+        The switches: those on lines, and the ties.
     """
 
-    scenario: Scenario
+    network: Network
+    switches: Switches
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Branches:
+        """The branches of a scenario."""
+        return cls(scenario.network, scenario.switches)
 
     @cached_property
-    def _ties(self) -> Switches:
-        switches = self.scenario.switches
-        return switches.rows(~switches.closed)
+    def ties(self) -> Switches:
+        """The open switches."""
+        return self.switches.rows(~self.switches.closed)
 
     def __len__(self) -> int:
-        return self.scenario.network.n_lines + len(self._ties)
+        return self.network.n_lines + len(self.ties)
 
     @cached_property
     def closed(self) -> Flags:
-        """The configuration in which the day begins."""
-        return freeze(np.arange(len(self)) < self.scenario.network.n_lines)
+        """The configuration in which a day begins."""
+        return freeze(np.arange(len(self)) < self.network.n_lines)
 
     @cached_property
     def switch(self) -> Wholes:
         """Row of the switch of each branch; -1 for lines without one."""
-        net, switches = self.scenario.network, self.scenario.switches
+        net, switches = self.network, self.switches
         on_line = {
             frozenset((switches.from_bus[i], switches.to_bus[i])): int(i)
             for i in np.flatnonzero(switches.closed)
@@ -72,15 +72,17 @@ class Branches:
 
     def of_line(self, name: str) -> Any:
         """A column that lines and open switches have, with the lines' default for switches."""
-        net = self.scenario.network
-        more = getattr(self._ties, name, None)
+        more = getattr(self.ties, name, None)
         if more is None:
-            more = np.full(len(self._ties), LINE_DEFAULTS[name])
-        return np.append(getattr(net, name), more)
+            more = np.full(len(self.ties), LINE_DEFAULTS[name])
+        return np.append(getattr(self.network, name), more)
 
     def of_moves(self, name: str) -> Any:
-        """A column of switches on operations, one of ``OF_MOVES``."""
-        values = np.append(getattr(self.scenario.switches, name), [NO_SWITCH[name]])
+        """A column of switches on operations; ``SWITCH_DEFAULTS`` of lines without a switch.
+
+        A fault opens such a line, and a crew closes it.
+        """
+        values = np.append(getattr(self.switches, name), [SWITCH_DEFAULTS[name]])
         return values[self.switch]
 
     @cached_property
@@ -101,14 +103,14 @@ class Branches:
     @cached_property
     def ends(self) -> Wholes:
         """Positions of the buses at both ends, (E, 2)."""
-        index = self.scenario.network.bus_index
+        index = self.network.bus_index
         pairs = zip(self.from_bus, self.to_bus, strict=True)
         return np.array([(index[a], index[b]) for a, b in pairs], dtype=int).reshape(-1, 2)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names: those of the switches, or both buses."""
-        ids = self.scenario.switches.id
+        ids = self.switches.id
         pairs = zip(self.switch, self.from_bus, self.to_bus, strict=True)
         return tuple(f"{a}-{b}" if i < 0 else str(ids[i]) for i, a, b in pairs)
 
@@ -125,20 +127,20 @@ class Branches:
         out : OutOfService
             Lines and buses that are out in the window, in the scenario's own order.
         """
-        switches, net = self.scenario.switches, self.scenario.network
+        switches, net = self.switches, self.network
         able = np.append(switches.movable, False)[self.switch]
         opened = np.zeros(len(self), dtype=bool)
         opened[: net.n_lines] = out.lines.any(axis=0)
         opened |= open_now & self.closed
         unlocked = np.append(switches.locked == "", True)[self.switch]
-        ratio = np.append(net.ratio != 1.0, np.zeros(len(self._ties), dtype=bool))
+        ratio = np.append(net.ratio != 1.0, np.zeros(len(self.ties), dtype=bool))
         return np.asarray((able | (opened & unlocked)) & ~ratio)
 
     def moves(self, before: Flags, after: Flags) -> str:
         """Operations between two configurations, in words.
 
         >>> from vppres.io.find import load_scenario
-        >>> branches = Branches(load_scenario("uk-heatwave-2022"))
+        >>> branches = Branches.of(load_scenario("uk-heatwave-2022"))
         >>> branches.moves(branches.closed, branches.closed & (np.arange(32) != 5))
         'opened 19-20'
         """
@@ -149,8 +151,15 @@ class Branches:
         return ", ".join(words)
 
     def open_names(self, closed: Flags) -> str:
-        """Names of the branches that are open, in words."""
-        return ", ".join(self.names[i] for i in np.flatnonzero(~closed))
+        """Names of the branches that are open."""
+        return APART.join(self.names[i] for i in np.flatnonzero(~closed))
+
+
+def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
+    """Branches that faults take out, (W, E), of lines and buses in the order of the day."""
+    found: Flags = np.asarray(out.buses[:, ends].any(axis=2))
+    found[:, : out.lines.shape[1]] |= out.lines
+    return found
 
 
 def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
@@ -216,13 +225,15 @@ class Configured:
         return np.where(self.lines >= 0, at_end, 0.0)
 
 
-def in_configuration(branches: Branches, closed: Flags) -> Configured:
+def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Configured:
     """The day in a configuration.
 
     Parameters
     ----------
+    day : Scenario
+        The day, in the configuration in which it begins.
     branches : Branches
-        Lines and ties of the day.
+        Its lines and ties.
     closed : array of bool, shape (E,)
         Those that are closed, without a loop.
 
@@ -231,7 +242,6 @@ def in_configuration(branches: Branches, closed: Flags) -> Configured:
     ValueError
         If they have a loop.
     """
-    day = branches.scenario
     net = day.network
     n_buses = net.n_buses
     if np.array_equal(closed, branches.closed):
@@ -255,7 +265,7 @@ def in_configuration(branches: Branches, closed: Flags) -> Configured:
         day,
         network=tree,
         switches=Switches.none(),
-        faults=tuple(_faults_of(branches, closed, tree, lines)),
+        faults=tuple(_faults_of(day, closed, tree, lines)),
     )
     buses = np.array([tree.bus_index[bus] for bus in net.buses])
     sign = np.where((lines >= 0) & turned, -1.0, 1.0)
@@ -274,11 +284,8 @@ def _tree(ends: Wholes, closed: Flags, n_buses: int) -> Wholes:
     return np.flatnonzero(chosen)
 
 
-def _faults_of(
-    branches: Branches, closed: Flags, tree: Network, lines: Wholes
-) -> Iterator[LineFault]:
+def _faults_of(day: Scenario, closed: Flags, tree: Network, lines: Wholes) -> Iterator[LineFault]:
     """Faults of closed lines and of buses, and open branches of the tree as lines that are out."""
-    day = branches.scenario
     for fault in day.faults:
         if fault.line is None:
             yield fault

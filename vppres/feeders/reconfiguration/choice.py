@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Wholes
+from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.io.messages import did_you_mean
+from vppres.scenario.configuration import Branches
 from vppres.scenario.network import Network
 from vppres.scenario.switches import Switches
 
@@ -43,46 +44,25 @@ def switched_network(
     InputError
         If a name is unknown, or no switch can be closed.
     """
-    standing = switch_at(network, switches)
+    branches = Branches(network, switches)
+    standing, lines = branches.switch[: network.n_lines], branches.names[: network.n_lines]
     movable = np.append(switches.movable, any_line)  # the last is that of lines without a switch
     can_open = (network.ratio == 1.0) & movable[standing]
     ties = switches.rows(~switches.closed & switches.movable)
     if only:
-        names, ends = _line_names(network, switches), _ends(network)
-        _check_known(only, [*map(str, switches.id), *names, *ends])
+        ends = Branches(network, Switches.none()).names
+        _check_known(only, [*map(str, switches.id), *lines, *ends])
         ties = ties.rows(_among([str(name) for name in ties.id], only))
-        can_open = can_open & (_among(names, only) | _among(ends, only))
+        can_open = can_open & (_among(lines, only) | _among(ends, only))
     if not len(ties):
         cure = NO_TIE if not only else "Give an open switch with --switch too."
         raise InputError.of("switches", "has no open switch that can be closed", cure)
-    return SwitchedNetwork(network, ties, can_open, tuple(_line_names(network, switches)))
-
-
-def switch_at(network: Network, switches: Switches) -> Wholes:
-    """Position of the switch that stands on each line, (L,); -1 where none does."""
-    at = {
-        frozenset((switches.from_bus[i], switches.to_bus[i])): int(i)
-        for i in np.flatnonzero(switches.closed)
-    }
-    ends = zip(network.from_bus, network.to_bus, strict=True)
-    return np.array([at.get(frozenset(pair), -1) for pair in ends], dtype=int)
+    return SwitchedNetwork(network, ties, can_open, lines)
 
 
 def branch_names(feeder: SwitchedNetwork) -> list[str]:
     """Names of the branches: by their switches, and of lines without one by their buses."""
     return [*feeder.line_names, *map(str, feeder.ties.id)]
-
-
-def _line_names(network: Network, switches: Switches) -> list[str]:
-    """Names of the lines: those of their switches, or their buses."""
-    standing = zip(switch_at(network, switches), _ends(network), strict=True)
-    return [ends if i < 0 else str(switches.id[i]) for i, ends in standing]
-
-
-def _ends(network: Network) -> list[str]:
-    """Buses of each line, as a name."""
-    ends = zip(network.from_bus, network.to_bus, strict=True)
-    return [f"{start}-{end}" for start, end in ends]
 
 
 def _among(names: Sequence[str], wanted: Sequence[str]) -> Flags:

@@ -12,9 +12,9 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.core.text import iso
-from vppres.feeders.reconfiguration.choice import switch_at
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration
+from vppres.scenario.configuration import Branches
 from vppres.scenario.faults import LineFault
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
@@ -103,7 +103,7 @@ def _faults_of(scenario: Scenario, changed: Network, kept: Flags) -> Iterator[Li
 
 def _moved(network: Network, switches: Switches, opened: Any, closed: Switches) -> Switches:
     """Switches after some lines were opened, and some ties closed."""
-    standing = switch_at(network, switches)
+    standing = Branches(network, switches).switch[: network.n_lines].copy()
     without = np.flatnonzero(opened & (standing < 0))
     more = Switches(
         id=np.array(_new_names(network, without, {*map(str, switches.id)}), dtype=object),

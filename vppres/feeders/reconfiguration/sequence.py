@@ -19,9 +19,9 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
 from vppres.core.text import counted, named
-from vppres.feeders.reconfiguration.choice import switch_at
 from vppres.feeders.reconfiguration.meshed import MeshedFlow, PartFlow
 from vppres.feeders.reconfiguration.search import WITHIN, ConfigurationLimits
+from vppres.scenario.configuration import Branches
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.switches import Switches
 
@@ -115,36 +115,21 @@ class SwitchedFeeder:
     customers: Mapping[BusId, Sequence[str]] = field(default_factory=dict)
 
     @cached_property
-    def switch(self) -> Wholes:
-        """Row of the switch of each branch, (E,); -1 for a line without one."""
-        of_lines = switch_at(self.network, self.switches)
-        return np.append(of_lines, np.flatnonzero(~self.switches.closed))
-
-    @cached_property
-    def names(self) -> list[str]:
-        """Names of the branches: of their switches, or both buses."""
-        ends = zip(self.network.from_bus, self.network.to_bus, strict=True)
-        lines = [f"{start}-{end}" for start, end in ends]
-        return [
-            lines[branch] if row < 0 else str(self.switches.id[row])
-            for branch, row in enumerate(self.switch)
-        ]
-
-    def column(self, name: str, without: object) -> Names:
-        """A column of switches for every branch, and what it is for lines without one."""
-        values = np.append(getattr(self.switches, name).astype(object), [without])
-        return np.asarray(values[self.switch])
+    def branches(self) -> Branches:
+        """Its lines and ties."""
+        return Branches(self.network, self.switches)
 
     @cached_property
     def flow(self) -> MeshedFlow:
         """Solver of its states."""
-        return MeshedFlow(self.network, self.switches.rows(~self.switches.closed))
+        return MeshedFlow(self.network, self.branches.ties)
 
     @cached_property
     def out(self) -> Flags:
         """Branches that carry nothing though they be closed, (E,)."""
-        count = len(self.switch)
-        found = np.zeros(count, dtype=bool) if self.faulted is None else self.faulted.copy()
+        found = np.zeros(len(self.branches), dtype=bool)
+        if self.faulted is not None:
+            found |= self.faulted
         if self.bus_out is not None:
             found |= self.bus_out[self.flow.start] | self.bus_out[self.flow.end]
         return found
@@ -310,9 +295,9 @@ class _Orders:
         self.net = feeder.network
         self.now, self.then = now.copy(), then.copy()
         self.branches = np.flatnonzero(now != then)
-        self.minutes = feeder.column("minutes_to_operate", 0.0).astype(float)
-        self.may_close_loop = feeder.column("parallel_allowed", False).astype(bool)
-        self.compares = feeder.column("sync_check", False).astype(bool)
+        self.minutes = feeder.branches.of_moves("minutes_to_operate").astype(float)
+        self.may_close_loop = feeder.branches.of_moves("parallel_allowed").astype(bool)
+        self.compares = feeder.branches.of_moves("sync_check").astype(bool)
         self.holding = np.ones(len(feeder.formers), dtype=bool)
         self._topologies: dict[frozenset[int], _Topology] = {}
         self._checks: dict[tuple[frozenset[int], bytes], _Checked] = {}
@@ -386,12 +371,12 @@ class _Orders:
 
     def _refusals(self) -> Iterator[str]:
         """Why no order can exist, whatever the power flow: locks, faults, loops at the end."""
-        locked = self.feeder.column("locked", "")
+        locked = self.feeder.branches.of_moves("locked")
         movable = self.feeder.movable
         if movable is None:
-            movable = self.feeder.column("operable", True).astype(bool)
+            movable = self.feeder.branches.of_moves("operable").astype(bool)
         for branch in self.branches:
-            name, closes = self.feeder.names[branch], self.then[branch]
+            name, closes = self.feeder.branches.names[branch], self.then[branch]
             if locked[branch]:
                 yield f"{name} is locked: {locked[branch]}."
             elif closes and self.feeder.out[branch]:
@@ -523,7 +508,7 @@ class _Orders:
             return NO_MARGIN
         at = int(loading.argmax())
         left = float(1.0 - loading[at])
-        words = f"{self.feeder.names[at]} at {loading[at]:.1%} of its rating"
+        words = f"{self.feeder.branches.names[at]} at {loading[at]:.1%} of its rating"
         return Margin(left, f"{words}, {_margin_words(left, '.1%', '')}")
 
     def _of_former(self, row: int, found: PartFlow) -> Margin:
@@ -537,7 +522,7 @@ class _Orders:
         return Margin(share, f"{words}, {_margin_words(share, '.1%', '')}")
 
     def _verb(self, branch: int) -> str:
-        return f"{'close' if self.then[branch] else 'open'} {self.feeder.names[branch]}"
+        return f"{'close' if self.then[branch] else 'open'} {self.feeder.branches.names[branch]}"
 
     def _told(self, way: _Way) -> Iterator[Operation]:
         """The operations of an order."""
@@ -558,14 +543,14 @@ class _Orders:
             at_the_device = bool(joins and before.live[a] and before.live[b])
             told = [
                 f"{self._without(buses)}{_for_minutes(waits[until])} until "
-                f"{self.feeder.names[way.done[until - 1]]} is closed"
+                f"{self.feeder.branches.names[way.done[until - 1]]} is closed"
                 for until, buses in back.items()
             ]
             lost = np.flatnonzero(gone & ~self.last.live).tolist()
             told += [self._without(lost)] if lost else []
             effect = self._effect(branch, before, after, checked, cold)
             yield Operation(
-                switch=self.feeder.names[branch],
+                switch=self.feeder.branches.names[branch],
                 branch=branch,
                 closes=bool(self.then[branch]),
                 margin=checked.least,

@@ -23,7 +23,7 @@ from vppres.feeders.reconfiguration.sequence import (
 )
 from vppres.feeders.sources import import_network
 from vppres.io.times import option_time
-from vppres.scenario.faults import OutOfService
+from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.formers import forming_batteries, named_units
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
@@ -72,11 +72,11 @@ class Reconfigurable:
         moving = SwitchedFeeder(
             self.network, self.switches, *self.injection, limits, **self.of_the_day
         )
-        n_lines = self.network.n_lines
+        branches = moving.branches
         # The search knows those open switches alone that may move.
-        ties = np.isin(self.switches.id[~self.switches.closed], feeder.ties.id)
-        at = np.append(np.arange(n_lines), n_lines + np.flatnonzero(ties))
-        now = np.arange(len(moving.names)) < n_lines
+        ties = np.isin(branches.ties.id, feeder.ties.id)
+        at = np.append(np.flatnonzero(branches.closed), self.network.n_lines + np.flatnonzero(ties))
+        now = branches.closed
         then = now.copy()
         then[at] = True
         then[at[[*best.opened]]] = False
@@ -142,18 +142,17 @@ def feeder_of_scenario(
 def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str, Any]:
     """Faults and cold load of a step, devices that can hold islands, customers of each bus."""
     net, customers = day.network, day.customers
-    found: dict[str, Any] = {"customers": {}, "formers": _at_rest(day, soc)}
-    for name, bus in zip(customers.id, customers.bus, strict=True):
-        found["customers"].setdefault(bus, []).append(str(name))
+    out = day.out_of_service(range(step, step + 1))
+    found: dict[str, Any] = {
+        "customers": customers.by_bus,
+        "formers": _at_rest(day, soc),
+        "faulted": out_of_branches(out, Branches.of(day).ends)[0],
+        "bus_out": out.buses[0],
+    }
     if day.switching.cold:
         more = (day.switching.cold_load_factor - 1.0) * net.place(customers.bus)
         found["cold_kw"] = more @ day.load_kw[step]
         found["cold_kvar"] = more @ day.load_kvar[step]
-    out = OutOfService.of(day.faults, net, day.grid, range(step, step + 1))
-    if out is not None:
-        ties = np.zeros(int((~day.switches.closed).sum()), dtype=bool)
-        found["faulted"] = np.append(out.lines[0], ties)
-        found["bus_out"] = out.buses[0]
     return found
 
 

@@ -61,7 +61,7 @@ def _fullest(run: Trajectory, rows: pd.DataFrame) -> dict[str, Any]:
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     """The most loaded lines, or those with the largest current where there are no ratings."""
-    lines = Branches(run.scenario)
+    lines = Branches.of(run.scenario)
     current = line_current_a(run)
     loading = line_loading(run)
     peak = current.max(axis=0)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Floats
 from vppres.core.text import named
 from vppres.kinds.customer.data import limits_h, steps_within
 from vppres.live.by_phase import GRID
@@ -94,6 +96,13 @@ class Situation:
     read_by: str = ""
     announced: bool = False
     formers: Sequence[FormerState] | None = None
+
+    @property
+    def known_soc(self) -> Floats:
+        """State of charge of each battery, that of an empty one where it is not known, (B,)."""
+        b = self.scenario.batteries
+        known = zip(b.id, b.soc_min, strict=True)
+        return np.array([self.soc.get(str(name), least) for name, least in known])
 
     @property
     def why_dark(self) -> str:

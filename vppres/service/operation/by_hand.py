@@ -56,11 +56,10 @@ class ByHand:
         now, found = self.now, self.found
         b = now.batteries
         follows = np.array([str(name) not in found.failing for name in b.id], dtype=bool)
-        soc = np.array([found.soc.get(str(name), b.soc_min[i]) for i, name in enumerate(b.id)])
         able = replace(
             b,
             p_max_kw=np.where(follows, b.p_max_kw, 0.0),
-            soc_initial=np.clip(soc, b.soc_min, b.soc_max),
+            soc_initial=np.clip(found.known_soc, b.soc_min, b.soc_max),
         )
         world = World(replace(now, batteries=able), self.options)
         world.begin_as(found.plan, 0)

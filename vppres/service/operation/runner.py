@@ -295,11 +295,9 @@ class Runner:
         read = {one.asset: one.value == 1.0 for one in latest if one.known}
         given = self.store.setting(SWITCHING)[0] if asked is None else asked
         found = self.situation(now)
-        b = self.scenario.batteries
-        soc = np.array([found.soc.get(str(b.id[i]), b.soc_min[i]) for i in range(len(b))])
         step = self._measured(now, found.is_dark)
         seen = self._carried_out(given.get("issued"), until)
-        return Switchgear(step, read, soc, given, seen, not found.is_dark, now)
+        return Switchgear(step, read, found.known_soc, given, seen, not found.is_dark, now)
 
     def _carried_out(self, issued: Mapping[str, Any] | None, until: pd.Timestamp) -> bool:
         """Whether an operation was seen in a reading after it was confirmed."""

@@ -87,10 +87,10 @@ class Switchgear:
 
     def _with(self, states: Mapping[str, bool]) -> Flags:
         """Closed branches, where switches that are not named are as in the folder."""
-        feeder = self._feeder
-        closed = np.arange(len(feeder.names)) < feeder.network.n_lines
-        for branch in np.flatnonzero(feeder.switch >= 0):
-            closed[branch] = states.get(feeder.names[branch], bool(closed[branch]))
+        branches = self._feeder.branches
+        closed = branches.closed.copy()
+        for branch in np.flatnonzero(branches.switch >= 0):
+            closed[branch] = states.get(branches.names[branch], bool(closed[branch]))
         return closed
 
     @cached_property
@@ -197,7 +197,7 @@ class Switchgear:
         left = self.order.operations if status["status"] == "confirm" else None
         of_plans = self._with({})
         closed = self._with(self.read)
-        names = self._feeder.names
+        names = self._feeder.branches.names
         return {
             **status,
             "read": dict(self.read),
