@@ -223,7 +223,7 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("change", "text"), [
-    ({"version": 99}, "state, version = 99: has another layout than this version's, 5. Go on"),
+    ({"version": 99}, "state, version = 99: has another layout than this version's, 6. Go on"),
     ({"kind": "a poem"}, "state: is not the state of a controller."),
     ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
     (None, "state: is not the state of a controller."),

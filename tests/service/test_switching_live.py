@@ -5,18 +5,25 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, Live
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, Live, decided, said, serving
 from tests.support.live_service import client as asked
 from tests.support.switching_service import confirm, read, switched, want
 from tests.support.three_phases import three_phases
+from vppres.model.site import Site
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Service
+from vppres.service.replay.explanations import explained, question
+from vppres.service.replay.export import exported
+from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta(hours=1)
 
@@ -149,3 +156,98 @@ def test_a_service_killed_between_two_operations_goes_on_from_what_is_read(
         # Meanwhile somebody opened the switch by hand: nothing is left to be done.
         read(http, clock, s=0)
         assert http.get("/v1/switching").json()["status"] == "done"
+
+
+def the_shop(plan: dict[str, Any]) -> dict[str, Any]:
+    return said(plan, "customers")["shop"]
+
+
+def out(http: Caller, line: str) -> None:
+    """A fault of a line from now on, without an end."""
+    fault = {"type": "fault", "line": line, "start": written(NOON), "end": None}
+    assert http.put("/v1/events/digger", fault).status == 201
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_plans_are_of_the_feeder_as_its_switches_are_read(tmp_path: Path, mode: str) -> None:
+    service = Service(switched(), replace(HERE, mode=mode), paced=True)
+    clock = SetClock(NOON)
+    with serving(service, tmp_path / "db", clock) as (http, runner):
+        read(http, clock, t=0, s=1)
+        out(http, "3")
+        plan = decided(http, clock, NOON)
+        assert plan["switches_open"] == ["t"]
+        assert not the_shop(plan)["served"]
+        # The operator opens the switch of the faulted line, and closes the tie.
+        clock.set(NOON + pd.Timedelta("10min"))
+        read(http, clock, s=0)
+        read(http, clock, t=1)
+        assert http.get("/v1/plan").json()["unaware_of"] == [
+            "s is open (scada)",
+            "t is closed (scada)",
+        ]
+        assert http.get("/v1/switching").json()["unlike_plans"] == ["s", "t"]
+        anew = runner.anew()
+        assert anew is not None
+        assert (anew["switches_open"], the_shop(anew)["served"]) == (["s"], True)
+        assert "unaware_of" not in http.get("/v1/plan").json()
+        assert http.get("/v1/switching").json()["unlike_plans"] == []
+        # The fault is there, and takes nobody's supply.
+        [alarm] = [
+            one for one in http.get("/v1/alarms").json()["alarms"] if one["kind"] == "line_out"
+        ]
+        assert alarm["text"] == "Line 2-3 is out of service, and its end is not known."
+        # Set-points of an operator are checked on the same feeder.
+        on = {"kind": "customers", "asset": "shop", "served": True}
+        until = written(NOON + HOUR)
+        asked = {"mode": "manual", "reason": "test", "until": until, "setpoints": [on]}
+        assert http.post("/v1/mode/check", asked).json()["found"] == []
+    # A restart reads no switch anew, and goes on.
+    with serving(service, tmp_path / "db", clock) as (http, runner):
+        assert the_shop(decided(http, clock, NOON + HOUR))["served"]
+        # Once the line is repaired the tie has to be opened before it is closed again.
+        http.delete("/v1/events/digger")
+        read(http, clock, s=1)
+        loop = decided(http, clock, NOON + 2 * HOUR)
+        assert loop["switches_open"] == ["s"]
+        assert "s closes a loop, and is open in the plan" in loop["estimated"]
+        assert "unaware_of" not in http.get("/v1/plan").json()
+        read(http, clock, t=0)
+        anew = runner.anew()
+    with closing(Store(tmp_path / "db", Site.of(service.scenario).key, reading=True)) as store:
+        run = exported(service, store, NOON, NOON + 3 * HOUR)
+    assert run.steps["switches_open"].tolist() == ["s", "s", "s"]
+    served = run.by_step("customers", "served")
+    assert served[:, 1].all()
+
+
+def test_a_step_is_explained_on_the_feeder_as_it_was_read(tmp_path: Path) -> None:
+    """The homes are off for the voltage of the shop, which hangs behind them at the tie."""
+    day = switched()
+    weak = replace(day.network, r_ohm=300.0 * day.network.r_ohm, x_ohm=300.0 * day.network.x_ohm)
+    service = Service(replace(day, network=weak), HERE, paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, SetClock(NOON), t=1, s=0)
+        plan = decided(http, runner.clock, NOON)
+        assert not said(plan, "customers")["homes"]["served"]
+        asked = question(runner, plan)
+        [step] = asked.records()
+        assert step.steps["switches_open"] == "s"
+        found = explained(asked)
+        [homes] = (one for one in found["reasons"] if one["asset"] == "homes")
+        assert homes["driver"] == "voltage" and "at bus 3 would add" in homes["words"]
+
+
+def test_steps_without_a_decision_are_of_the_feeder_as_it_is_read(tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with serving(Service(switched(), HERE, paced=True), tmp_path / "db", clock) as (http, runner):
+        read(http, clock, t=1, s=0)
+        out(http, "3")
+
+        def fails(_: object) -> None:
+            raise RuntimeError("the controller is broken")
+
+        runner._controller.step = fails  # type: ignore[assignment,method-assign]
+        plan = decided(http, clock, NOON)
+        assert (plan["status"], plan["switches_open"]) == ("failed", ["s"])
+        assert the_shop(plan)["served"]

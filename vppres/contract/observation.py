@@ -88,6 +88,9 @@ class Observation:
     #: given, they are those of ``forecast``.
     profile_kw: Floats | None = None
     profile_pv_kw: Floats | None = None
+    #: Lines and ties that are closed, (E,), where switches may have been moved by others; as the
+    #: controller left them if not given.
+    closed: Flags | None = None
 
     def counted(self, times: float) -> Observation:
         """Copy in which a weighted customer hour of an outage counts as so many."""

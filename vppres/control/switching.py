@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from vppres.contract.decision import Decider, Decision, Switched
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.candidates import Candidates, Reached
+from vppres.control.configurations import ControllerIn, InConfiguration
 from vppres.control.guard.check import PAPER, Tolerances, violations
-from vppres.control.remembered import memory_of, put_back
 from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import SolveError
@@ -34,13 +33,7 @@ from vppres.feeders.reconfiguration.sequence import (
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, curtailed_kw
 from vppres.model.site import Site
-from vppres.scenario.configuration import (
-    Branches,
-    Configured,
-    blocks_of,
-    in_configuration,
-    out_of_branches,
-)
+from vppres.scenario.configuration import blocks_of, out_of_branches
 from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
@@ -52,42 +45,9 @@ WHOLE = 1.0 - 1e-6
 
 DAY_H = 24.0
 
-MOST_KEPT = 64
-"""Configurations whose controllers are kept; each may hold compiled problems."""
-
 NO_SWITCH = "no switch would serve more"
 NOT_FOUND = "no switch that serves more was found"
 ALL_SERVED = "all customers are served"
-
-
-@dataclass(frozen=True, eq=False)
-class ControllerIn:
-    """The day in a configuration, and who decides and bounds there.
-
-    Parameters
-    ----------
-    closed : array of bool, shape (E,)
-        Branches that are closed.
-    day : Configured
-        The scenario.
-    site : Site
-        What is planned for.
-    solver : WindowSolver or None
-        What bounds its windows; None where plans have other weights.
-    controller_of : callable
-        Makes its controller.
-    """
-
-    closed: Flags
-    day: Configured
-    site: Site
-    solver: WindowSolver | None
-    controller_of: Callable[[Scenario], Decider]
-
-    @cached_property
-    def decider(self) -> Decider:
-        """Its controller, made when it is asked."""
-        return self.controller_of(self.day.scenario)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +68,7 @@ class Planned:
         return self.decision.info.bound - self.candidate.price if known else np.inf
 
 
-class Switching:
+class Switching(InConfiguration):
     """Decides on switches, then as the controller of the configuration.
 
     Parameters
@@ -119,10 +79,10 @@ class Switching:
         Makes the controller of the day in a configuration.
     site_of : callable
         Makes the site that it plans for.
-    solver_of : callable or None
-        Makes the solver of bounds of a site; None where plans have other weights than it.
     given : callable
         What is known of a site without a memory of its controller.
+    solver_of : callable or None
+        Makes the solver of bounds of a site; None where plans have other weights than it.
     centre : {"lossless", "literal", "none"}
         Linearisation centre of the voltages.
     limits : SolveLimits
@@ -132,8 +92,6 @@ class Switching:
 
     Attributes
     ----------
-    closed : array of bool, shape (E,)
-        The present configuration.
     last : Search
         The search of the last step.
     """
@@ -145,35 +103,24 @@ class Switching:
         day: Scenario,
         controller_of: Callable[[Scenario], Decider],
         site_of: Callable[[Scenario], Site],
-        solver_of: Callable[[Site], WindowSolver] | None,
         given: Callable[[Site], Given],
+        solver_of: Callable[[Site], WindowSolver] | None,
         centre: Centre,
         limits: SolveLimits,
         within: Tolerances = PAPER,
     ) -> None:
-        self.day = day
-        self.branches = Branches.of(day)
-        self.closed = self.branches.closed
+        super().__init__(day, controller_of, site_of, given, solver_of)
         self.centre = centre
         self.limits = limits
         self.within = within
         self.physical = within.losses
-        self._controller_of = controller_of
-        self._site_of = site_of
-        self._solver_of = solver_of
-        self._given = given
-        self._known: dict[bytes, ControllerIn] = {}
         self._operations: list[tuple[int, Flags]] = []
-
-    def horizon_steps(self, t0: int) -> range:
-        """Steps of its controllers' windows."""
-        return self._in(self.closed).decider.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:
         """The decision in the configuration that is best, and the operations that it takes."""
-        here = self._in(self.closed)
-        before = self._memory(here)
-        stay = here.decider.decide(self._seen(here, observation))
+        here = self.controller_in(self.closed)
+        before = self.memory_in(here)
+        stay = here.decider.decide(self.seen_in(here, observation))
         self.last = search = self._searched(observation, here, stay, before)
         found, switched = search.best, search.record
         if found is search.stay:
@@ -184,46 +131,13 @@ class Switching:
         switched = replace(switched, gain=known, why=self._gain_words(observation.t0, search))
         decision = search.certified()
         if found.waits:
-            self._remember(here, found.memory)
+            self.remember_in(here, found.memory)
             return replace(decision, switched=replace(switched, ahead=words))
         self._operations.append((observation.t0, found.candidate.closed != self.closed))
         self.closed = found.candidate.closed
-        self._remember(self._in(self.closed), found.memory)
+        self.remember_in(self.controller_in(self.closed), found.memory)
         switched = replace(switched, closed=self.closed, moved=words, order=found.order)
         return replace(decision, switched=switched)
-
-    # Configurations.
-
-    def _in(self, closed: Flags) -> ControllerIn:
-        """A configuration, made once."""
-        key = closed.tobytes()
-        if key not in self._known:
-            if len(self._known) >= MOST_KEPT:
-                kept = self.closed.tobytes()
-                self._known = {kept: self._known[kept]}
-            day = in_configuration(self.day, self.branches, closed)
-            site = self._site_of(day.scenario)
-            solver = None if self._solver_of is None else self._solver_of(site)
-            self._known[key] = ControllerIn(closed, day, site, solver, self._controller_of)
-        return self._known[key]
-
-    def _seen(self, part: ControllerIn, observation: Observation) -> Observation:
-        """Observation with the lines and voltages of a configuration."""
-        t0, forecast = observation.t0, observation.forecast
-        steps = range(t0, t0 + len(forecast.price_gbp_per_kwh))
-        out = part.day.scenario.out_of_service(steps, known_at=t0)
-        forecast = replace(forecast, out=out)
-        point = observation.operating_point
-        if not np.array_equal(part.closed, self.closed):
-            point = None
-        return replace(observation, forecast=forecast, operating_point=point)
-
-    def _memory(self, part: ControllerIn) -> dict[str, Any]:
-        return memory_of(part.decider, self._given(part.site))
-
-    def _remember(self, part: ControllerIn, memory: dict[str, Any]) -> None:
-        """Let a controller go on from another configuration, but for what is of its lines."""
-        put_back(part.decider, without_lines(memory), self._given(part.site), "controller")
 
     # The choice.
 
@@ -256,7 +170,7 @@ class Switching:
         joins_all = present.candidate.n_parts == reach.n_joined
         faulted = forecast.out.lines.any()
         if faulted and joins_all:
-            bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
+            bound = self.bound(here, self.seen_in(here, observation), search.deadline.left_s)
         if not faulted or joins_all:
             search.know(present.candidate, bound)
         return search.run(reach)
@@ -265,13 +179,13 @@ class Switching:
         self, observation: Observation, candidate: Reached, before: dict[str, Any]
     ) -> Planned | None:
         """The plan in a configuration, None if it has none."""
-        part = self._in(candidate.closed)
-        self._remember(part, before)
+        part = self.controller_in(candidate.closed)
+        self.remember_in(part, before)
         try:
-            decision = part.decider.decide(self._seen(part, observation))
+            decision = part.decider.decide(self.seen_in(part, observation))
         except SolveError:
             return None
-        return planned_of(candidate, decision, self._memory(part))
+        return planned_of(candidate, decision, self.memory_in(part))
 
     def bound(self, part: ControllerIn, observation: Observation, within_s: float) -> float:
         """Most that a plan of what is observed can be worth there, infinite if it is not known."""
@@ -282,8 +196,8 @@ class Switching:
 
     def bound_in(self, observation: Observation, candidate: Reached, within_s: float) -> float:
         """Most that a plan in a configuration can be worth."""
-        part = self._in(candidate.closed)
-        return self.bound(part, self._seen(part, observation), within_s)
+        part = self.controller_in(candidate.closed)
+        return self.bound(part, self.seen_in(part, observation), within_s)
 
     def _allowed(self, t0: int) -> Flags:
         """Branches that have operations of 24 hours left."""
@@ -319,7 +233,7 @@ class Switching:
         assert parts is not None  # a configuration has no loop
         if point is None:
             return parts
-        v_pu = self._in(self.closed).day.at_buses(point.v_pu)
+        v_pu = self.controller_in(self.closed).day.at_buses(point.v_pu)
         return np.where(np.isfinite(v_pu), parts, -1)
 
     def _out_before(self, t0: int) -> OutOfService:
@@ -353,7 +267,7 @@ class Switching:
         They wait where the parts of the first step are those of the present configuration, and its
         lines and voltages carry the step.
         """
-        here = self._in(self.closed)
+        here = self.controller_in(self.closed)
         if np.array_equal(found.candidate.parts[0], stay.candidate.parts[0]):
             state = self._state(here, observation)
             decision = self._with_lines_of(state, found.decision)
@@ -370,7 +284,7 @@ class Switching:
         A fault that begins now comes after them.
         """
         t0, day = observation.t0, self.day
-        part = self._in(found.candidate.closed)
+        part = self.controller_in(found.candidate.closed)
         given = self._injections(self._state(part, observation), found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
         before, now = self._out_before(t0), observation.forecast.out
@@ -409,7 +323,7 @@ class Switching:
 
     def _state(self, part: ControllerIn, observation: Observation) -> StepState:
         """The observed step in a configuration."""
-        return StepState.of(part.site, self._seen(part, observation), self.centre)
+        return StepState.of(part.site, self.seen_in(part, observation), self.centre)
 
     def _injections(self, state: StepState, decision: Decision) -> tuple[Floats, Floats]:
         """Injections of the buses in a decision's step in kW and kvar, in a configuration."""
@@ -593,21 +507,3 @@ def planned_of(candidate: Reached, decision: Decision, memory: dict[str, Any]) -
     sound = decision.fallback == "none" and np.isfinite(objective)
     score = objective - candidate.price if sound else -np.inf
     return Planned(candidate, decision, score, memory)
-
-
-def without_lines(memory: Any, of_planner: bool = False) -> Any:
-    """A controller's memory without what its planner knows of lines and voltages.
-
-    >>> without_lines({"_last": 1, "planner": {"kept": {"_last": 2}}})
-    {'_last': 1, 'planner': {'kept': {'_last': None}}}
-    """
-    if isinstance(memory, list):
-        return [without_lines(each, of_planner) for each in memory]
-    if not isinstance(memory, dict):
-        return memory
-    return {
-        name: None
-        if of_planner and name == "_last"
-        else without_lines(value, of_planner or name == "planner")
-        for name, value in memory.items()
-    }

@@ -11,6 +11,7 @@ import numpy as np
 from vppres.contract.decision import Decider
 from vppres.control.baselines import IdleController, ReserveController
 from vppres.control.by_weight import ByWeight
+from vppres.control.configurations import InConfiguration
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import Tolerances
@@ -22,6 +23,7 @@ from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.control.switching import Switching
 from vppres.core.errors import SolveError, VerificationError
+from vppres.core.plain import Given
 from vppres.day.checks import check_run
 from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
 from vppres.day.options import RULES, RunOptions
@@ -48,6 +50,7 @@ def make_controller(
     grid: TimeGrid | None = None,
     make_solver: Callable[[Site], WindowSolver] | None = None,
     own: Own | None = None,
+    measured: bool = False,
 ) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
@@ -66,6 +69,8 @@ def make_controller(
     own : Own, optional
         What replaces the controller that the options name, or the weights of its customers; given
         for a simulated day only.
+    measured : bool, optional
+        Whether switches may be found in other states than the scenario's.
 
     Raises
     ------
@@ -75,8 +80,18 @@ def make_controller(
     grid = grid or scenario.grid
     options = options.on(scenario)
     check_run(scenario, options, grid)
-    if options.move_switches and scenario.switches.movable.any():
-        return _switching(scenario, options, faults, own)
+    moves = options.move_switches and scenario.switches.movable.any()
+    if moves or (measured and len(scenario.switches) and not scenario.phases):
+        fixed = replace(options, move_switches=False)
+        of_day = partial(
+            make_controller,
+            options=fixed,
+            faults=faults,
+            grid=grid,
+            make_solver=make_solver,
+            own=own,
+        )
+        return _of_configurations(scenario, options, of_day, own)
     site = site_of(scenario, options.as_record())
     guard_options = _guard_options(scenario, options, simulated=own is not None)
     make = make_solver or _solver_maker(options)
@@ -111,22 +126,32 @@ def make_controller(
     return decider_of(site)
 
 
-def _switching(
-    scenario: Scenario, options: RunOptions, faults: FaultInjector | None, own: Own | None
-) -> Switching:
-    """A controller that moves switches, with one of the options' for each configuration."""
-    fixed = replace(options, move_switches=False)
+def _of_configurations(
+    scenario: Scenario,
+    options: RunOptions,
+    controller_of: Callable[[Scenario], Decider],
+    own: Own | None,
+) -> InConfiguration:
+    """A controller with one of the options' for each configuration, that moves switches or not."""
+
+    def site_in(day: Scenario) -> Site:
+        return site_of(day, options.as_record())
+
+    def given(site: Site) -> Given:
+        return {Site: site, SwitchingRules: options.switching}
+
+    if not options.move_switches:
+        return InConfiguration(scenario, controller_of, site_in, given)
     weighed_anew = options.shares_supply or (own is not None and own.weights is not None)
-    guard = _guard_options(scenario, options, simulated=own is not None)
     return Switching(
         scenario,
-        lambda day: make_controller(day, fixed, faults, own=own),
-        lambda day: site_of(day, options.as_record()),
+        controller_of,
+        site_in,
+        given,
         None if weighed_anew else _solver_maker(replace(options, isolate=False)),
-        lambda site: {Site: site, SwitchingRules: options.switching},
         options.centre,
         options.limits,
-        guard.within,
+        _guard_options(scenario, options, simulated=own is not None).within,
     )
 
 

@@ -8,17 +8,16 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Wholes
-from vppres.day.trajectory import SWITCHES_OPEN, Trajectory
-from vppres.scenario.configuration import APART, Branches, in_configuration
+from vppres.day.trajectory import APART, SWITCHES_OPEN, Trajectory
+from vppres.scenario.configuration import Branches, in_configuration
 
 
 def configurations_of(run: Trajectory) -> list[Flags] | None:
     """Branches that are closed in each step, (E,); None for a run that moves no switches."""
     if SWITCHES_OPEN not in run.steps:
         return None
-    names = Branches.of(run.scenario).names
-    is_open = [set(words.split(APART)) for words in run.steps[SWITCHES_OPEN]]
-    return [np.array([name not in those for name in names]) for those in is_open]
+    branches = Branches.of(run.scenario)
+    return [branches.closed_but(words.split(APART)) for words in run.steps[SWITCHES_OPEN]]
 
 
 def run_in(run: Trajectory, closed: Flags) -> Trajectory:

@@ -29,6 +29,7 @@ from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import (
+    APART,
     LINES_OUT,
     SHARE,
     SWITCHED,
@@ -241,7 +242,7 @@ class Day:
     def settle(self, t: int, decision: Decision) -> StepRecord:
         """Record of a decision's step; the day is at the step after it."""
         if decision.switched is not None:
-            self._configure(decision.switched.closed)
+            self.go_on_in(decision.switched.closed)
         done = self.carry_out(t, decision)
         realised = done.realised
         kinds = records_of(self.plant, t, realised)
@@ -307,7 +308,7 @@ class Day:
         self.configured, self.plant, self.in_parts = now.day, now.plant, now.in_parts
         self.ac, self.island_ac, self.island = now.ac, now.island_ac, now.island
 
-    def _configure(self, closed: Flags) -> None:
+    def go_on_in(self, closed: Flags) -> None:
         """Go on with the plant of a configuration, in the state of the one before."""
         now = self._plant_in(closed)
         if now.plant is not self.plant:
@@ -321,7 +322,7 @@ class Day:
         of_switches = {
             SWITCHED: switched.moved,
             SWITCHING_ORDER: "\n".join(switched.order),
-            SWITCHES_OPEN: branches.open_names(switched.closed),
+            SWITCHES_OPEN: APART.join(branches.open_names(switched.closed)),
             SWITCHING_AHEAD: switched.ahead,
             "switching_gain": switched.gain,
             SWITCHING_WHY: switched.why,

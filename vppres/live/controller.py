@@ -124,7 +124,7 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
-        decider = make_controller(scenario, exact, grid=endless)
+        decider = make_controller(scenario, exact, grid=endless, measured=True)
         return cls(scenario, exact, decider, state, history)
 
     def state(self) -> dict[str, Any]:
@@ -427,7 +427,10 @@ class Controller:
         day = present.day(decision.seen or known_now, decision.estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, known_now)
-        points = SetPoints.of(day.scenario, record, foreseen, day.plant.switching, present.kinds)
+        is_open = day.branches.open_names(present.closed)
+        points = SetPoints.of(
+            day.scenario, record, foreseen, day.plant.switching, present.kinds, is_open
+        )
         return points, present.after(day, record)
 
 

@@ -66,6 +66,10 @@ class Measurement(ReadOfKinds):
     connected : mapping or Series of bool, optional
         Whether each customer can be supplied at all; all that are not named can. Who cannot takes
         nothing in the whole window, and is not served.
+    closed : mapping or Series of bool, optional
+        Whether each switch is closed, by identifier; where not given as at the last decision, as in
+        the scenario before the first. Plans are of the feeder in this configuration; a switch that
+        closes a loop is left open in them, and named in what was estimated.
     announced_limit_kw : Series, optional
         Largest import in kW by time while there is grid, as it is known beforehand. It says nothing
         of outages, and so reaches controllers that do not know them otherwise; where it says
@@ -128,6 +132,7 @@ class Measurement(ReadOfKinds):
     online: Switches | None = None
     import_kw: float | None = None
     connected: Switches | None = None
+    closed: Switches | None = None
     announced_limit_kw: pd.Series | None = None
     foretold: Mapping[str, Sequence[str]] | None = None
     now: pd.Timestamp | datetime | str | None = None
@@ -152,6 +157,7 @@ class Seen:
     online: Flags
     import_kw: float | None
     connected: Flags
+    closed: dict[str, bool]  #: states of switches, as far as they were read
     #: Largest import while there is grid, as far as it was announced, (T,); NaN elsewhere.
     announced_kw: Floats
     #: Series whose steps ahead are another provider's forecast, (C,) and (P,).
@@ -267,6 +273,7 @@ def _measurement_arrays(
     of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
+    closed = _states(door, measured.closed, scenario.switches.id)
     unknown = np.full(scenario.grid.n_steps, np.nan)
     announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = door.moment("now", measured.now) or door.begun
@@ -298,6 +305,7 @@ def _measurement_arrays(
         **of_batteries,
         import_kw=import_kw,
         connected=connected,
+        closed=closed,
         announced_kw=announced,
         foretold_load=_is_named(c.id, foretold.get("load_kw", ())),
         foretold_pv=_is_named(pv.id, foretold.get("pv_kw", ())),
@@ -323,6 +331,13 @@ def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, 
         "battery_kw": None if measured.battery_kw is None else battery_kw,
         "online": door.flags("online", measured.online, b.id),
     }
+
+
+def _states(door: Door, read: Any, ids: Names) -> dict[str, bool]:
+    """States of the switches that were read."""
+    closed = door.flags("closed", read, ids)
+    given = set(read.keys()) if isinstance(read, (Mapping, pd.Series)) else set()
+    return {str(name): bool(one) for name, one in zip(ids, closed, strict=True) if name in given}
 
 
 def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:

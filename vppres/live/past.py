@@ -32,7 +32,8 @@ class Past:
     ``t`` counts from the controller's first step, -1 before it. ``voltages`` are solutions by the
     position of the source's bus, from which the next power flow starts. None is what no step has
     led to yet, duties without switching rules, and measurements that no forecaster learns from.
-    ``kinds`` has the units of each kind, ``PAST`` of its live part.
+    ``closed`` are lines and ties that were closed, (E,): ``operating_point`` and ``voltages`` are
+    of that configuration. ``kinds`` has the units of each kind, ``PAST`` of its live part.
     """
 
     t: int
@@ -41,6 +42,7 @@ class Past:
     served: Flags | None
     history: History | None
     voltages: dict[int, Complexes]
+    closed: Flags
     grid_seen: GridSeen = field(default_factory=GridSeen)
     owed: Owed | None = None
     kinds: dict[str, Any] = field(default_factory=dict)
@@ -50,7 +52,8 @@ class Past:
         """Before the first step: all customers have been supplied for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.plant.switching, None, history, {}, owed=day.plant.owed)
+        closed = day.branches.closed
+        return cls(-1, None, day.plant.switching, None, history, {}, closed, owed=day.plant.owed)
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""

@@ -24,7 +24,11 @@ from vppres.kinds.table import parts, units_of
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
 from vppres.plant.plant import BatteryState
+from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.scenario import Scenario
+
+LOOPED = "{} closes a loop, and is open in the plan"
+"""How ``estimated`` names a switch without which a plan is made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +63,9 @@ class Present:
     """One step between what was measured and what its set-points should lead to.
 
     ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
-    the first; the decision may rest on all that are ``ahead``. ``ends``: what is known ends with
-    the window. Duties and the units of each kind are those of its beginning.
+    the first; the decision may rest on all that are ``ahead``. Lines and ties that are ``closed``,
+    (E,), have no loop; ``looped`` are switches that would close one. ``ends``: what is known ends
+    with the window. Duties and the units of each kind are those of its beginning.
     """
 
     t: int
@@ -74,6 +79,8 @@ class Present:
     grid_seen: GridSeen
     options: RunOptions
     past_days: dict[str, Any]
+    closed: Flags
+    looped: tuple[str, ...]
 
     @classmethod
     def of(
@@ -96,6 +103,10 @@ class Present:
         row, at_h = everything.t, t * now.grid.dt_h + seen.elapsed_h
         moment = Moment(known, row, range(row - (t - past.t - 1), row), past.served, at_h, now)
         live = parts("live")
+        branches = Branches.of(now)
+        read = {} if now.phases else everything.closed  # those keep the scenario's lines
+        out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
+        closed, looped = branches.with_states(read, past.closed, out)
         return cls(
             t=t,
             seen=seen,
@@ -111,6 +122,8 @@ class Present:
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
             past_days=past_days,
+            closed=closed,
+            looped=looped,
         )
 
     def observation(self, view: OutageView) -> Observation:
@@ -152,6 +165,7 @@ class Present:
             profile_pv_kw=seen.profile_pv_kw,
             flexible_kw=None if self.past.t < 0 else sum((k.taken_kw for k in kinds), 0.0),
             flexible_off_kw=sum((k.taken_off_kw for k in kinds), 0.0),
+            closed=self.closed,
         )
 
     def _ahead(self) -> KindsAhead:
@@ -166,8 +180,9 @@ class Present:
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Readings of all kinds that are missing or frozen, in words."""
-        return tuple(words for now in self.kinds.values() for words in now.estimated)
+        """Readings of all kinds that are missing or frozen, and switches left out, in words."""
+        loops = map(LOOPED.format, self.looped)
+        return (*loops, *(words for now in self.kinds.values() for words in now.estimated))
 
     def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.
@@ -184,12 +199,14 @@ class Present:
         for now in self.kinds.values():
             scenario = now.believed(scenario)
         day = Day(scenario, self.options)
+        day.go_on_in(self.closed)
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
         day.outage_messages = known.outage_messages
         day.plant.switching = self.switching
         day.plant.owed = self.past.owed_at(self.t)
-        day.ac.go_on_from(self.past.voltages)
+        if np.array_equal(self.closed, self.past.closed):
+            day.ac.go_on_from(self.past.voltages)
         day.plant.begin_with(self._states())
         return day
 
@@ -209,6 +226,7 @@ class Present:
                 np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
             ),
             voltages=day.ac.found,
+            closed=self.closed,
             grid_seen=self.grid_seen,
             owed=day.plant.owed,
             kinds={

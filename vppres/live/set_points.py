@@ -98,6 +98,8 @@ class SetPoints(SetPointsOfKinds):
         ``fuel_end_litres``, and whether it is ``out``; None without generating sets.
     lines_out : tuple of str
         Lines and buses that are out of service, in words.
+    switches_open : tuple of str
+        Names of the lines and ties that are open in the plan.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -114,6 +116,7 @@ class SetPoints(SetPointsOfKinds):
     foreseen: Foreseen
     by_phase: ByPhase | None = None
     lines_out: tuple[str, ...] = ()
+    switches_open: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -123,6 +126,7 @@ class SetPoints(SetPointsOfKinds):
         foreseen: Foreseen,
         after: SwitchingState | None = None,
         kinds: Mapping[str, UnitsNow] | None = None,
+        switches_open: tuple[str, ...] = (),
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
@@ -138,6 +142,8 @@ class SetPoints(SetPointsOfKinds):
             Who is off and for how long after the step.
         kinds : mapping, optional
             Units as the step found them, by kind.
+        switches_open : tuple of str, optional
+            Lines and ties that are open.
         """
         off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
@@ -158,6 +164,7 @@ class SetPoints(SetPointsOfKinds):
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
             lines_out=tuple(scenario.out_of_service(range(1)).names(scenario.network, 0)),
+            switches_open=switches_open,
             **_of_kinds(scenario, step, kinds or {}),
         )
 

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decider
+from vppres.control.configurations import InConfiguration
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
@@ -25,6 +26,7 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import SERIES as OF_KINDS
 from vppres.live.past import Past
 from vppres.model.site import Site
+from vppres.scenario.configuration import Branches
 from vppres.scenario.faults import LineFault
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -33,7 +35,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 5
+VERSION = 6
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
@@ -136,6 +138,8 @@ def _restored(
         state = _from_version_3(state)
     if "faults" not in state["known"]:
         state = _without_faults(state, scenario.network)
+    if state["version"] != VERSION:
+        state = _without_switches(state, scenario, decider)
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -185,7 +189,7 @@ def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
-    if state.get("version") not in (3, 4, VERSION):
+    if state.get("version") not in (3, 4, 5, VERSION):
         raise _refused(
             f"has another layout than this version's, {VERSION}",
             "Go on with the version that wrote it, or begin without a state.",
@@ -254,6 +258,23 @@ def _without_faults(state: dict[str, Any], network: Network) -> dict[str, Any]:
 
     known = {**state["known"], "faults": []}
     return {**state, **{name: whole(state[name]) for name in ("now", "before")}, "known": known}
+
+
+def _without_switches(
+    state: dict[str, Any], scenario: Scenario, decider: Decider
+) -> dict[str, Any]:
+    """A state of version 5 or before, in which switches stood as in the scenario."""
+    closed = to_plain(Branches.of(scenario).closed)
+
+    def moment(old: dict[str, Any]) -> dict[str, Any]:
+        memory = old["memory"]
+        if isinstance(decider, InConfiguration):
+            memory = {"closed": closed, "decider": memory}
+        return {"past": {**old["past"], "closed": closed}, "memory": memory}
+
+    before = state["before"]
+    then = None if before is None else moment(before)
+    return {**state, "now": moment(state["now"]), "before": then}
 
 
 def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:

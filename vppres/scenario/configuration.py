@@ -7,7 +7,7 @@ it was before: closed, it carries again when it is repaired.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,9 +20,6 @@ from vppres.scenario.faults import LineFault, OutOfService
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import OF_THE_LINE, SWITCH_DEFAULTS, Switches
-
-APART = ", "
-"""Between names of open branches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +133,51 @@ class Branches:
         ratio = np.append(net.ratio != 1.0, np.zeros(len(self.ties), dtype=bool))
         return np.asarray((able | (opened & unlocked)) & ~ratio)
 
+    def with_states(
+        self, read: Mapping[str, bool], before: Flags, out: Flags
+    ) -> tuple[Flags, tuple[str, ...]]:
+        """The configuration in which the switches are as they are read, the others as before.
+
+        It has no loop, for a loop has no plan: of what would close one a line that is out is left
+        open, or else what has closed last. A line without a switch is closed otherwise.
+
+        Parameters
+        ----------
+        read : mapping
+            Whether switches are closed, by their names.
+        before : array of bool, shape (E,)
+            Branches that were closed.
+        out : array of bool, shape (E,)
+            Branches that faults take out.
+
+        Returns
+        -------
+        array of bool, shape (E,)
+            Branches that are closed.
+        tuple of str
+            Names of those that carry and are left open for a loop.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> branches = Branches.of(load_scenario("uk-heatwave-2022"))
+        >>> branches.with_states({}, branches.closed, ~branches.closed)[1]
+        ()
+        """
+        states = self.states(before) | dict(read)
+        switched = [states.get(name, True) for name in self.names]
+        closed = np.where(self.switch >= 0, switched, True)
+        order = np.lexsort((~before, out))
+        joins, _ = forest(self.ends, order[closed[order]], self.network.n_buses)
+        looped = np.flatnonzero(closed & ~joins & ~out)
+        return joins, tuple(self.names[branch] for branch in looped)
+
+    def states(self, closed: Flags) -> dict[str, bool]:
+        """Whether each switch is closed in a configuration, by its name."""
+        return {
+            self.names[branch]: bool(closed[branch]) for branch in np.flatnonzero(self.switch >= 0)
+        }
+
     def moves(self, before: Flags, after: Flags) -> str:
         """Operations between two configurations, in words.
 
@@ -150,9 +192,14 @@ class Branches:
                 words.append(f"{verb} {named([self.names[i] for i in np.flatnonzero(which)])}")
         return ", ".join(words)
 
-    def open_names(self, closed: Flags) -> str:
+    def open_names(self, closed: Flags) -> tuple[str, ...]:
         """Names of the branches that are open."""
-        return APART.join(self.names[i] for i in np.flatnonzero(~closed))
+        return tuple(self.names[i] for i in np.flatnonzero(~closed))
+
+    def closed_but(self, open_names: Iterable[str]) -> Flags:
+        """The configuration in which all are closed but some, by their names."""
+        names = set(open_names)
+        return np.array([name not in names for name in self.names], dtype=bool)
 
 
 def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
@@ -162,17 +209,33 @@ def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
     return found
 
 
-def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
-    """Number of the block of each bus that closed branches join, (N,); None if they have a loop.
+def forest(ends: Wholes, branches: Wholes, n_buses: int) -> tuple[Flags, Wholes]:
+    """Branches that join two blocks, taken one after another, and the blocks in the end.
 
-    The number is the first bus of the block.
+    Parameters
+    ----------
+    ends : array of int, shape (E, 2)
+        Buses of all branches.
+    branches : array of int
+        The branches that are taken, in order.
+    n_buses : int
+        Number of buses.
 
-    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.array([True, True, False]), 3).tolist()
-    [0, 0, 0]
-    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.ones(3, dtype=bool), 3) is None
-    True
+    Returns
+    -------
+    array of bool, shape (E,)
+        Those that join, the others would close loops.
+    array of int, shape (N,)
+        Number of the block of each bus: its first bus.
+
+    Examples
+    --------
+    >>> joins, blocks = forest(np.array([[0, 1], [2, 1], [0, 2]]), np.arange(3), 4)
+    >>> joins.tolist(), blocks.tolist()
+    ([True, True, False], [0, 0, 0, 3])
     """
     first = list(range(n_buses))
+    joins = np.zeros(len(ends), dtype=bool)
 
     def root(bus: int) -> int:
         while first[bus] != bus:
@@ -180,12 +243,23 @@ def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
             bus = first[bus]
         return bus
 
-    for a, b in ends[closed].tolist():
+    for branch, (a, b) in zip(branches.tolist(), ends[branches].tolist(), strict=True):
         one, other = sorted((root(a), root(b)))
-        if one == other:
-            return None
+        joins[branch] = one != other
         first[other] = one
-    return np.array([root(bus) for bus in range(n_buses)])
+    return joins, np.array([root(bus) for bus in range(n_buses)])
+
+
+def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
+    """Number of the block of each bus that closed branches join, (N,); None if they have a loop.
+
+    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.array([True, True, False]), 3).tolist()
+    [0, 0, 0]
+    >>> blocks_of(np.array([[0, 1], [2, 1], [0, 2]]), np.ones(3, dtype=bool), 3) is None
+    True
+    """
+    joins, blocks = forest(ends, np.flatnonzero(closed), n_buses)
+    return blocks if np.array_equal(joins, closed) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,16 +277,32 @@ class Configured:
         Line of the tree that each branch is; -1 if it is none.
     sign : array of float, shape (E,)
         -1 where the tree has the branch the other way round.
+    closed : array of bool, shape (E,)
+        Branches that are closed.
     """
 
     scenario: Scenario
     buses: Wholes
     lines: Wholes
     sign: Floats
+    closed: Flags
 
     def at_buses(self, values: Any) -> Any:
         """Values of the tree's buses, (..., N), in the order of the day."""
         return values[..., self.buses]
+
+    def out_of(self, out: OutOfService) -> OutOfService:
+        """What is out in each step, from the order of the day to that of the tree."""
+        net = self.scenario.network
+        lines = np.ones((len(out.lines), net.n_lines), dtype=bool)  # what is open is out
+        stands = self.closed & (self.lines >= 0)
+        of_day = np.flatnonzero(stands[: out.lines.shape[1]])
+        lines[:, self.lines[stands]] = False
+        lines[:, self.lines[of_day]] = out.lines[:, of_day]
+        buses = np.empty_like(out.buses)
+        buses[:, self.buses] = out.buses
+        at_bus = buses[:, np.arange(1, net.n_buses)] | buses[:, net.parent]
+        return OutOfService(lines | at_bus, buses)
 
     def at_branches(self, first: Floats, second: Floats | None = None) -> Floats:
         """Flows at the first ends of the tree's lines, (L,), at the first ends of branches, (E,).
@@ -246,7 +336,7 @@ def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Config
     n_buses = net.n_buses
     if np.array_equal(closed, branches.closed):
         lines = np.where(closed, np.arange(len(branches)), -1)
-        return Configured(day, np.arange(n_buses), lines, np.ones(len(branches)))
+        return Configured(day, np.arange(n_buses), lines, np.ones(len(branches)), closed)
     chosen = _tree(branches.ends, closed, n_buses)
     columns: dict[str, Any] = {
         name: branches.of_line(name)[chosen]
@@ -269,18 +359,15 @@ def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Config
     )
     buses = np.array([tree.bus_index[bus] for bus in net.buses])
     sign = np.where((lines >= 0) & turned, -1.0, 1.0)
-    return Configured(changed, buses, lines, sign)
+    return Configured(changed, buses, lines, sign, closed)
 
 
 def _tree(ends: Wholes, closed: Flags, n_buses: int) -> Wholes:
     """Closed branches, and the first others that join what they leave apart, in order."""
-    if blocks_of(ends, closed, n_buses) is None:
+    order = np.argsort(~closed, kind="stable")
+    chosen, _ = forest(ends, order, n_buses)
+    if not chosen[closed].all():
         raise ValueError("closed branches have a loop")
-    chosen = closed.copy()
-    for branch in np.flatnonzero(~closed):
-        chosen[branch] = True
-        if chosen.sum() >= n_buses or blocks_of(ends, chosen, n_buses) is None:
-            chosen[branch] = False
     return np.flatnonzero(chosen)
 
 

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.day.trajectory import SWITCHES_OPEN
+from vppres.scenario.configuration import Branches
 
 Plan = Mapping[str, Any]
 Plans = Sequence[Plan]  # by step, empty for a step without
@@ -16,6 +18,12 @@ Plans = Sequence[Plan]  # by step, empty for a step without
 def expected_by(plan: Plan) -> Mapping[str, Any]:
     """Values that a plan expects of its step; empty for a plan that the controller did not make."""
     return plan.get("expected") or {}
+
+
+def closed_by(plan: Plan, branches: Branches) -> Flags:
+    """Lines and ties that are closed in a plan, (E,); those of the site where it does not say."""
+    names = plan.get(SWITCHES_OPEN)
+    return branches.closed if names is None else branches.closed_but(names)
 
 
 def said_of(

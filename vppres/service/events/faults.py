@@ -13,10 +13,12 @@ import pandas as pd
 from vppres.core.errors import InputError
 from vppres.day.checks import BALANCED, NOT_STATED
 from vppres.io.messages import did_you_mean
-from vppres.scenario.faults import LineFault, parts_by_bus
+from vppres.scenario.configuration import Branches, in_configuration, out_of_branches
+from vppres.scenario.faults import LineFault, OutOfService, parts_by_bus
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
 from vppres.service import payloads
+from vppres.service.as_told import closed_by
 from vppres.service.clock import written
 from vppres.service.events.announced import OPEN
 from vppres.service.storage.records import Event
@@ -103,14 +105,20 @@ def behind_faults(
     standing = [(one, fault) for one, fault in known if one["out"] and now < fault.end]
     if not standing:
         return []
-    out = np.any([fault.lines(network) for _, fault in standing], axis=0)
-    at = [network.bus_index[bus] for bus in scenario.customers.bus]
-    parts = parts_by_bus(network, out[np.newaxis])[0][at]
+    branches = Branches.of(scenario)
+    day = in_configuration(scenario, branches, closed_by(plan, branches))
+    step = replace(scenario.grid, start=now, n_steps=1)
+    out = OutOfService.of((fault for _, fault in standing), network, step, range(1))
+    tree = day.scenario.network
+    at = [tree.bus_index[bus] for bus in scenario.customers.bus]
+    parts = parts_by_bus(tree, day.out_of(out).lines)[0][at]
     names = np.array([str(name) for name in scenario.customers.id])
-    return [
-        (one, {*names[np.isin(parts, np.flatnonzero(fault.lines(network)) + 1)].tolist()})
-        for one, fault in standing
-    ]
+    found = []
+    for one, fault in standing:
+        own = OutOfService.of([fault], network, step, range(1))
+        lines = day.lines[out_of_branches(own, branches.ends)[0]]
+        found.append((one, {*names[np.isin(parts, lines[lines >= 0] + 1)].tolist()}))
+    return found
 
 
 def _of_plan(

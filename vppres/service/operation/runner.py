@@ -17,27 +17,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
+from vppres.day.trajectory import SWITCHES_OPEN
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
 from vppres.live.profile import ClockProfile
+from vppres.scenario.configuration import Branches, in_configuration, out_of_branches
 from vppres.scenario.faults import LineFault
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms.conditions import BY_HAND, Situation, conditions, situation
 from vppres.service.alarms.notify import Notifier
 from vppres.service.alarms.state import Alarms
-from vppres.service.as_told import expected_by
+from vppres.service.as_told import closed_by, expected_by
 from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.events.announced import warnings
 from vppres.service.events.faults import FAULTS, faults_at, told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.by_hand import ByHand
-from vppres.service.operation.switching import CLOSED, SWITCHING, Switchgear
+from vppres.service.operation.switching import SWITCHING, Switchgear
 from vppres.service.plans.document import (
     Left,
     defaults_of,
@@ -62,6 +65,7 @@ from vppres.service.telemetry.grid_readings import (
     stands_alone,
 )
 from vppres.service.telemetry.knowledge import (
+    CLOSED,
     INSTANT,
     Grid,
     Heard,
@@ -69,6 +73,7 @@ from vppres.service.telemetry.knowledge import (
     grid_at,
     known_at,
     soc_at,
+    states_of,
 )
 from vppres.service.telemetry.learned import InSteps, learned, measured_in
 from vppres.service.telemetry.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
@@ -146,6 +151,7 @@ class Runner:
         self.keeps = pd.Timedelta(days=service.keep_days)
         self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
+        self.branches = Branches.of(self.scenario)
         self.length = self.scenario.grid.step
         self.profile = profile
         most_s = DEADLINE_SHARE * self.scenario.grid.dt_h * 3600.0
@@ -283,21 +289,21 @@ class Runner:
         """
         now = self.clock.now()
         found = self.situation(now)
-        step = told_by_plans(self._measured(now, found.is_dark), [found.plan])
+        step = self._in_configuration(self._measured(now, found.is_dark), now)
+        step = told_by_plans(step, [found.plan])
         return ByHand(asked, step, found, self.options).words()
 
     def switchgear(self, asked: Mapping[str, Any] | None = None) -> Switchgear:
         """Switches as they were read last, and as an operator asked for them, or asks now."""
         now = self.clock.now()
         until = now + EARLY_SHARE * self.length
-        ids = {str(name) for name in self.scenario.switches.id}
-        latest = [one for one in self.store.latest(until, [CLOSED]) if one.asset in ids]
-        read = {one.asset: one.value == 1.0 for one in latest if one.known}
+        read = states_of(self.scenario, self.store, now)
         given = self.store.setting(SWITCHING)[0] if asked is None else asked
         found = self.situation(now)
         step = self._measured(now, found.is_dark)
         seen = self._carried_out(given.get("issued"), until)
-        return Switchgear(step, read, found.known_soc, given, seen, not found.is_dark, now)
+        of_plan = closed_by(self.last, self.branches)
+        return Switchgear(step, read, of_plan, found.known_soc, given, seen, not found.is_dark, now)
 
     def _carried_out(self, issued: Mapping[str, Any] | None, until: pd.Timestamp) -> bool:
         """Whether an operation was seen in a reading after it was confirmed."""
@@ -496,6 +502,9 @@ class Runner:
             plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
         if faults := self.faults(self._moment(time)):
             plan[FAULTS] = told(faults, self.scenario.network, self.length, time)
+        if SWITCHES_OPEN not in plan and len(self.scenario.switches):
+            closed = self._closed(self._moment(time))
+            plan[SWITCHES_OPEN] = [*self.branches.open_names(closed)]
         if not known:
             self.store.write_step(time, plan, asked=asked)
             return plan
@@ -593,7 +602,9 @@ class Runner:
         self, time: pd.Timestamp, known: StepInputs | None, error: Exception
     ) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
-        now = replace(self._profile_of(time), faults=self.faults(self._moment(time)))
+        moment = self._moment(time)
+        now = replace(self._profile_of(time), faults=self.faults(moment))
+        now = self._in_configuration(now, moment)
         left = self._left(time, known.grid if known else None)
         soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
         if known:
@@ -605,6 +616,20 @@ class Runner:
         physical = self.options.mode == "physical"
         tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []), physical)
         return ordered_plan(time, self.scenario, mode, tables, {}, left)
+
+    def _closed(self, now: pd.Timestamp) -> Flags:
+        """Lines and ties that are closed: as they were read, or else as in the last plan."""
+        before = closed_by(self.last, self.branches)
+        if self.scenario.phases:
+            return before
+        step = replace(self._profile_of(self.begun(now)), faults=self.faults(now))
+        out = out_of_branches(step.out_of_service(range(1)), self.branches.ends)[0]
+        read = states_of(self.scenario, self.store, now)
+        return self.branches.with_states(read, before, out)[0]
+
+    def _in_configuration(self, step: Scenario, now: pd.Timestamp) -> Scenario:
+        """A step of the feeder as its switches are."""
+        return in_configuration(step, self.branches, self._closed(now)).scenario
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
         """Profile of a step in the scenario."""

@@ -32,9 +32,6 @@ from vppres.service.clock import written
 SWITCHING = "switching"
 """Setting with the states that an operator asked for."""
 
-CLOSED = "closed"
-"""Quantity of the state of a switch, 1 or 0."""
-
 GRACE = pd.Timedelta(minutes=5)
 """Time that telemetry has beyond the minutes that an operation takes."""
 
@@ -51,6 +48,8 @@ class Switchgear:
         One step of the site, with its measured loads.
     read : mapping
         States by switch, by its last reading.
+    of_plan : array of bool, shape (E,)
+        Lines and ties that are closed in the present plan.
     soc : array, shape (B,)
         States of charge.
     asked : mapping
@@ -65,6 +64,7 @@ class Switchgear:
 
     step: Scenario
     read: Mapping[str, bool]
+    of_plan: Flags
     soc: Floats
     asked: Mapping[str, Any]
     carried_out: bool
@@ -190,14 +190,11 @@ class Switchgear:
     def told(self) -> dict[str, Any]:
         """States, the operation that devices carry out, and those that are left.
 
-        ``unlike_plans`` are switches that read otherwise than in the folder, whose network plans
-        have.
+        ``unlike_plans`` are switches that read otherwise than in the present plan.
         """
         status = self.state
         left = self.order.operations if status["status"] == "confirm" else None
-        of_plans = self._with({})
-        closed = self._with(self.read)
-        names = self._feeder.branches.names
+        of_plan = self._feeder.branches.states(self.of_plan)
         return {
             **status,
             "read": dict(self.read),
@@ -205,7 +202,7 @@ class Switchgear:
             "issued": self.issued if status["status"] == "waiting" else None,
             "operations": [one.sentence for one in left or ()],
             "next": left[0].switch if left else None,
-            "unlike_plans": [names[branch] for branch in np.flatnonzero(closed != of_plans)],
+            "unlike_plans": [name for name, state in self.read.items() if state != of_plan[name]],
         }
 
 

@@ -15,6 +15,7 @@ import pandas as pd
 
 from vppres.core.plain import number_or_none
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED
+from vppres.day.trajectory import SWITCHES_OPEN
 from vppres.kinds.customer.data import limits_h
 from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
@@ -146,6 +147,7 @@ def plan_of(
         },
         "ahead": _ahead(decision.foreseen, known),
         "off_h": _off_h(decision, scenario),
+        **({SWITCHES_OPEN: [*decision.switches_open]} if len(scenario.switches) else {}),
     }
 
 
@@ -238,7 +240,7 @@ def made_anew(
         {**one, "id": _id(begin, one["kind"], one["asset"]), "valid_from": begin, "anew": why}
         for one in plan["setpoints"]
     ]
-    kept = ("id", "valid_from", "status", "setpoints", "grid")
+    kept = ("id", "valid_from", "status", "setpoints", "grid", SWITCHES_OPEN)
     said = {name: before[name] for name in kept if name in before}
     return {
         **plan,

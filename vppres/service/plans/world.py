@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.decision import Decision
+from vppres.contract.decision import Decision, Switched
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.options import RunOptions
@@ -126,11 +126,17 @@ class World:
             "values": [float(value)],
         }
 
-    def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
-        """Carry out the last set-points for a step; what is over leaves its default."""
+    def obey(
+        self, t: int, setpoints: Iterable[Mapping[str, Any]], closed: Flags | None = None
+    ) -> StepRecord:
+        """Carry out the last set-points for a step; what is over leaves its default.
+
+        Lines and ties that are ``closed``, (E,), are the scenario's if not given.
+        """
         middle = self.scenario.grid.times[t] + self.scenario.grid.step / 2
         told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
-        record = self.day.settle(t, Decision(self._dispatch(t, told)))
+        switched = None if closed is None else Switched(closed)
+        record = self.day.settle(t, Decision(self._dispatch(t, told), switched=switched))
         self.records.append(record)
         return record
 

@@ -24,7 +24,7 @@ from vppres.core.plain import json_safe
 from vppres.core.text import named
 from vppres.day.forecasting import PAPER
 from vppres.day.outages import KNOWN
-from vppres.day.recorder import Recorder, StepRecord
+from vppres.day.recorder import StepRecord
 from vppres.day.trajectory import SHARE
 from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
@@ -113,7 +113,7 @@ def _expected(
 def explained(asked: Replay) -> dict[str, Any]:
     """Phase, reasons and prices of the step that a question is about."""
     scenario = asked.scenario
-    recorder = Recorder(scenario)
+    recorder = asked.recorder()
     for record in asked.records():
         recorder.add(record)
     for ahead in _foreseen(record, asked.stored[-1], scenario):

@@ -27,8 +27,9 @@ from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
 from vppres.io.times import option_time
 from vppres.live.profile import ClockProfile
 from vppres.model.site import Site
+from vppres.scenario.configuration import Branches
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, expected_by
+from vppres.service.as_told import Plan, closed_by, expected_by
 from vppres.service.clock import written
 from vppres.service.events.announced import limits_kw, prices, warnings_ever
 from vppres.service.events.faults import faults_told
@@ -90,7 +91,7 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
     said = warnings_ever(store.events_ever(), times[0], scenario.grid.step)
     warnings = tuple(one for one in said if one.issued_at < scenario.grid.end)
     replay = replace(replay, scenario=replace(replay.scenario, warnings=warnings))
-    recorder = Recorder(replay.scenario)
+    recorder = replay.recorder()
     for record in counted(replay, store):
         recorder.add(record)
     return recorder.finish(service.options.on(replay.scenario).as_record())
@@ -161,6 +162,7 @@ class Replay:
         day, b = world.day, scenario.batteries
         shared = self.options.on(scenario).shares_supply
         told: list[dict[str, Any]] = []
+        closed = self.closed
         for t, plan in enumerate(self.stored):
             read = np.isfinite(self.soc[t])
             held = np.where(read, np.clip(self.soc[t], b.soc_min, b.soc_max), day.state.soc)
@@ -168,8 +170,24 @@ class Replay:
             world.begin_as(plan, t)
             if plan:
                 told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
-            record = _noted(world.obey(t, told), plan)
+            record = _noted(world.obey(t, told, closed[t]), plan)
             yield _weighed(record, scenario, plan) if shared else record
+
+    @property
+    def closed(self) -> list[Flags | None]:
+        """Lines and ties that were closed in each step, (E,); None where no switch was moved."""
+        branches = Branches.of(self.scenario)
+        found, last = [], dict[str, Any]()
+        for plan in self.stored:
+            last = dict(plan) or last
+            found.append(closed_by(last, branches))
+        moved = any((closed != branches.closed).any() for closed in found)
+        return [closed if moved else None for closed in found]
+
+    def recorder(self) -> Recorder:
+        """Recorder of the steps."""
+        moved = any(closed is not None for closed in self.closed)
+        return Recorder(self.scenario, Branches.of(self.scenario) if moved else None)
 
     def alone(self, t: int) -> Scenario:
         """A step by itself, with the states of charge that were read at its beginning."""

@@ -15,8 +15,9 @@ import pandas as pd
 
 from vppres.core.units import h_to_minutes
 from vppres.day.options import RunOptions
+from vppres.scenario.configuration import Branches
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan
+from vppres.service.as_told import Plan, closed_by
 from vppres.service.clock import written
 from vppres.service.plans.world import World
 from vppres.service.storage.records import DECIDED, Reading, moment, versions
@@ -32,10 +33,16 @@ class StepPart:
     #: From when to when.
     begin: pd.Timestamp
     end: pd.Timestamp
-    setpoints: list[dict[str, Any]]  #: what was said
+    said: Plan  #: the version of the plan that held
     island: bool  #: whether there was no grid
     #: Whether the set-points were planned for that: those that are kept or default are not.
     foreseen: bool
+
+    @property
+    def setpoints(self) -> list[dict[str, Any]]:
+        """Set-points that held."""
+        found: list[dict[str, Any]] = self.said["setpoints"]
+        return found
 
     @property
     def hours(self) -> float:
@@ -62,7 +69,7 @@ def parts_of(
     if len(said) == 1 and said[0].get("grid"):
         island = not said[0]["grid"]["available"]
         foreseen = not island or said[0]["status"] in DECIDED
-        return [StepPart(begin, end, said[0]["setpoints"], island, foreseen)]
+        return [StepPart(begin, end, said[0], island, foreseen)]
     read = [*store.latest(begin, (GRID_ON,)), *store.between(begin, end, (GRID_ON,))]
     read = [one for one in read if one.known]
     found = []
@@ -73,7 +80,7 @@ def parts_of(
         for since, till, island in _spans(one, later, times[k], times[k + 1], read):
             known = one.get("grid") or {"available": True}
             foreseen = not island or (not known["available"] and one["status"] in DECIDED)
-            found.append(StepPart(since, till, one["setpoints"], island, foreseen))
+            found.append(StepPart(since, till, one, island, foreseen))
     return [one for one in found if one.end > one.begin] or found[-1:]
 
 
@@ -137,5 +144,6 @@ def off_in(
         for one in part.setpoints
         if (one["kind"], one["asset"]) not in refuses
     ]
-    served = world.obey(0, told).customers["served"]
+    closed = closed_by(part.said, Branches.of(now))
+    served = world.obey(0, told, closed).customers["served"]
     return off | {str(name) for name, on in zip(now.customers.id, served, strict=True) if not on}

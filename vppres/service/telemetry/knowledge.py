@@ -60,6 +60,9 @@ INSTANT = (
     *("soc", "load_kw", "pv_kw", "online", "grid_on"),
     *(name for names in OF_KINDS.values() for name in names if name not in MEAN),
 )
+CLOSED = "closed"
+"""Quantity of the state of a switch, 1 or 0. It holds until another one is read."""
+
 MOVING = ("soc", "grid_on")
 """Readings that are late by their own period, however long a step is."""
 
@@ -123,7 +126,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
-        "closed": [str(name) for name in scenario.switches.id],
+        CLOSED: [str(name) for name in scenario.switches.id],
         **{
             name: [str(unit) for unit in getattr(scenario, kind).id]
             for kind, names in OF_KINDS.items()
@@ -274,6 +277,7 @@ def known_at(
         **_of_batteries(scenario, readings, means.get("battery_kw", {}), store),
         import_kw=means.get("import_kw", {}).get(GRID) if said.by_controller else None,
         connected=dict.fromkeys(lost, False),
+        closed=states_of(scenario, store, at),
         announced_limit_kw=None
         if announced is None
         else pd.Series(announced, window.times).dropna(),
@@ -326,6 +330,14 @@ def _announced_and_read(
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
     """States of charge that were read last."""
     return soc_of(Latest.at(time, scenario, store).newest("soc"))
+
+
+def states_of(scenario: Scenario, store: Store, time: pd.Timestamp) -> dict[str, bool]:
+    """Whether switches are closed, by the last reading of each."""
+    names = {str(name) for name in scenario.switches.id}
+    until = time + EARLY_SHARE * scenario.grid.step
+    latest = store.latest(until, [CLOSED]) if names else []
+    return {one.asset: one.value == 1.0 for one in latest if one.asset in names and one.known}
 
 
 def soc_now(

@@ -12,13 +12,15 @@ from typing import Any
 import pandas as pd
 
 from vppres.contract.decision import OUT
+from vppres.day.trajectory import SWITCHES_OPEN
+from vppres.live.present import LOOPED
 from vppres.service.clock import written
 from vppres.service.of_kind import every
 from vppres.service.storage.records import Reading, moment
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.grid_readings import CONTRADICTED, GRID_ON
-from vppres.service.telemetry.knowledge import INSTANT
+from vppres.service.telemetry.knowledge import CLOSED, INSTANT
 
 KIND_OF = {name: kind for kind in every().values() for name in (*kind.states, *kind.of_visits)}
 """The kind of which a quantity tells whether a unit is there, can work, or has come."""
@@ -29,7 +31,7 @@ STATES = ("online", *(name for kind in every().values() for name in kind.states)
 OF_VISITS = tuple(name for kind in every().values() for name in kind.of_visits)
 """Readings of every unit that comes, anew."""
 
-AGAINST_PLANS = (GRID_ON, "soc", "online")
+AGAINST_PLANS = (GRID_ON, "soc", "online", CLOSED)
 """What can contradict a plan."""
 
 Key = tuple[str, str]
@@ -42,7 +44,7 @@ def newest(readings: Iterable[Reading]) -> dict[Key, Reading]:
     for one in readings:
         key = one.asset, one.quantity
         latest = one.time >= found.get(key, one).time
-        if latest and one.known and one.quantity in INSTANT:
+        if latest and one.known and one.quantity in (*INSTANT, CLOSED):
             found[key] = one
     return found
 
@@ -100,7 +102,7 @@ class News:
         lost = {(one["asset"], one["quantity"]) for one in plan.get("late", ()) if is_lost(one)}
         for key in told:
             asset, kind = key
-            if kind in (*STATES, *OF_VISITS, GRID_ON):
+            if kind in (*STATES, *OF_VISITS, GRID_ON, CLOSED):
                 continue
             unheard = not self.store.was_heard(asset, kind) or key in self._missing
             # A battery without any state of charge is out, and named so.
@@ -134,6 +136,11 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
             lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
             words = f"battery {one.asset} is heard" if out else ""
             words = f"customer {one.asset} is heard" if lost else words
+        elif one.quantity == CLOSED and one.known:
+            looped = LOOPED.format(one.asset) in plan.get("estimated", ())
+            unlike = (one.value == 1.0) == (one.asset in plan.get(SWITCHES_OPEN, ()))
+            state = "closed" if one.value else "open"
+            words = f"{one.asset} is {state} ({one.source})" if unlike and not looped else ""
         elif grid and one.quantity == GRID_ON and one.known:
             change = "grid back" if one.value else GRID_LOST
             differs = (one.value == 1.0) != grid["available"]
