@@ -111,3 +111,24 @@ def test_where_no_switch_moves_a_site_with_switches_is_planned_as_one_without() 
         ours, theirs = stepped(site, one, t), stepped(plain, other, t)
         pd.testing.assert_frame_equal(ours.batteries, theirs.batteries)
         pd.testing.assert_frame_equal(ours.buses, theirs.buses)
+
+
+def test_what_a_switch_would_serve_is_proposed_and_gone_once_it_is_closed() -> None:
+    day = out_of_2_3()
+    options = replace(PAPER, move_switches=True)
+    controller = Controller.of(day, options)
+    waits = stepped(day, controller, 0).proposal  # the fault of the next step is known
+    assert (waits.closed, waits.operations) == ({}, "closed t, opened s")
+    proposed = stepped(day, controller, 1).proposal
+    assert proposed.closed == {"t": True, "s": False}
+    assert proposed.why == "closing t serves 1 customer until 05:00"
+    opened, closed = proposed.order
+    assert opened.startswith("open s: it has carried nothing since the fault")
+    assert closed.startswith("close t: it supplies customer shop")
+    saved = json.loads(json.dumps(controller.state()))
+    again = Controller.of(day, options, state=saved)
+    done = stepped(day, again, 2, closed={"t": True})
+    assert done.customers["served"].all()
+    assert (done.proposal.operations, done.proposal.why) == ("", "all customers are served")
+    # A service may be started again with the option, or without it.
+    assert stepped(day, Controller.of(day, PAPER, state=saved), 2).proposal.why == ""

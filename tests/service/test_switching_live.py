@@ -221,6 +221,28 @@ def test_plans_are_of_the_feeder_as_its_switches_are_read(tmp_path: Path, mode: 
     assert served[:, 1].all()
 
 
+def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path) -> None:
+    service = Service(switched(), replace(HERE, move_switches=True), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=1)
+        out(http, "3")
+        plan = decided(http, runner.clock, NOON)
+        assert not the_shop(plan)["served"]
+        proposed = http.get("/v1/switching").json()["proposed"]
+        assert proposed == plan["proposed"]
+        assert proposed["closed"] == {"t": True, "s": False}
+        assert proposed["why"].startswith("closing t serves 1 customer until ")
+        told = http.put("/v1/switching", {"closed": proposed["closed"]}).json()
+        assert [words.split(":")[0] for words in told["operations"]] == ["open s", "close t"]
+        for name, state in (("s", 0), ("t", 1)):
+            assert confirm(http, name).status == 200
+            read(http, runner.clock, **{name: state})
+        runner.clock.set(NOON + pd.Timedelta("1min"))
+        plan = runner.anew() or {}
+        assert the_shop(plan)["served"] and "proposed" not in plan
+        assert http.get("/v1/switching").json()["proposed"] is None
+
+
 def test_a_step_is_explained_on_the_feeder_as_it_was_read(tmp_path: Path) -> None:
     """The homes are off for the voltage of the shop, which hangs behind them at the tie."""
     day = switched()

@@ -71,6 +71,10 @@ class Switched:
         and how many were planned.
     why : str
         Why switches move, and what it serves, or why none does.
+    proposed : array of bool, shape (E,), optional
+        The configuration that an operator is to bring about, where operations are proposed.
+    until : int
+        Steps from this one on for which it serves that; 0 where no customer is on for it.
     """
 
     closed: Flags
@@ -82,6 +86,8 @@ class Switched:
     bounded: int = 0
     planned: int = 0
     why: str = ""
+    proposed: Flags | None = None
+    until: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,8 @@ from vppres.scenario.configuration import Branches, Configured, in_configuration
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 
+DAY_H = 24.0
+
 MOST_KEPT = 64
 """Configurations whose controllers are kept; each may hold compiled problems."""
 
@@ -68,9 +70,15 @@ class InConfiguration:
     ----------
     closed : array of bool, shape (E,)
         The configuration of the last step, in whose order its AC operating point stands.
+    moved : tuple
+        Steps of the last 24 hours and the branches that were moved in them, (E,) each.
     """
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {"closed": Flags, "decider": PART}
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "closed": Flags,
+        "moved": tuple[tuple[int, Flags], ...],
+        "decider": PART,
+    }
 
     def __init__(
         self,
@@ -83,6 +91,7 @@ class InConfiguration:
         self.day = day
         self.branches = Branches.of(day)
         self.closed = self.branches.closed
+        self.moved: tuple[tuple[int, Flags], ...] = ()
         self._controller_of = controller_of
         self._site_of = site_of
         self._given = given
@@ -113,10 +122,16 @@ class InConfiguration:
         now = observation.closed
         if now is None or np.array_equal(now, self.closed):
             return observation
-        memory = self.memory_in(self.controller_in(self.closed))
-        self.closed = now
-        self.remember_in(self.controller_in(now), memory)
+        self.go_on_in(now, self.memory_in(self.controller_in(self.closed)), observation.t0)
         return replace(observation, operating_point=None)
+
+    def go_on_in(self, closed: Flags, memory: dict[str, Any], t0: int) -> None:
+        """Let a configuration be the present one from a step on."""
+        since = t0 - DAY_H / self.day.grid.dt_h
+        recent = ((t, moved) for t, moved in self.moved if t > since)
+        self.moved = (*recent, (t0, closed != self.closed))
+        self.closed = closed
+        self.remember_in(self.controller_in(closed), memory)
 
     def controller_in(self, closed: Flags) -> ControllerIn:
         """The controller of a configuration, made once."""

@@ -16,7 +16,7 @@ from vppres.contract.decision import Decider, Decision, Switched
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.control.candidates import Candidates, Reached
-from vppres.control.configurations import ControllerIn, InConfiguration
+from vppres.control.configurations import DAY_H, ControllerIn, InConfiguration
 from vppres.control.guard.check import PAPER, Tolerances, violations
 from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
@@ -43,8 +43,6 @@ from vppres.solve.result import LEAST_OBJECTIVE, SolveLimits, Status
 WHOLE = 1.0 - 1e-6
 """Share of its demand that counts as all of it."""
 
-DAY_H = 24.0
-
 NO_SWITCH = "no switch would serve more"
 NOT_FOUND = "no switch that serves more was found"
 ALL_SERVED = "all customers are served"
@@ -66,6 +64,15 @@ class Planned:
         """Most that a plan there can be worth, less its operations; infinite if it is not known."""
         known = np.isfinite(self.score)
         return self.decision.info.bound - self.candidate.price if known else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """State of the feeder from which operations begin, in the order of the day."""
+
+    before: OutOfService  #: lines and buses that were out before them, of one step
+    out: OutOfService  #: those that are out during them, of one step
+    live: Flags  #: buses that have voltage, (N,)
 
 
 class Switching(InConfiguration):
@@ -114,30 +121,64 @@ class Switching(InConfiguration):
         self.limits = limits
         self.within = within
         self.physical = within.losses
-        self._operations: list[tuple[int, Flags]] = []
+        self._out: OutOfService | None = None
 
     def decide(self, observation: Observation) -> Decision:
         """The decision in the configuration that is best, and the operations that it takes."""
+        observation = self.observed(observation)
         here = self.controller_in(self.closed)
         before = self.memory_in(here)
         stay = here.decider.decide(self.seen_in(here, observation))
+        observation = _known(observation, stay)
         self.last = search = self._searched(observation, here, stay, before)
+        self._out = observation.forecast.out.part(slice(1))
+        return self.taken(search, observation.t0)
+
+    def taken(self, search: Search, t0: int) -> Decision:
+        """The best decision of a step, with its operations carried out."""
         found, switched = search.best, search.record
         if found is search.stay:
             return replace(search.certified(), switched=switched)
-        words = self.branches.moves(self.closed, found.candidate.closed)
-        gain = found.score - search.stay.score
-        known = gain if np.isfinite(gain) else np.nan
-        switched = replace(switched, gain=known, why=self._gain_words(observation.t0, search))
-        decision = search.certified()
+        decision, switched = search.certified(), self.reasoned(search)
         if found.waits:
-            self.remember_in(here, found.memory)
-            return replace(decision, switched=replace(switched, ahead=words))
-        self._operations.append((observation.t0, found.candidate.closed != self.closed))
-        self.closed = found.candidate.closed
-        self.remember_in(self.controller_in(self.closed), found.memory)
-        switched = replace(switched, closed=self.closed, moved=words, order=found.order)
+            self.remember_in(self.controller_in(self.closed), found.memory)
+            return replace(decision, switched=switched)
+        self.go_on_in(found.candidate.closed, found.memory, t0)
+        words = switched.ahead
+        switched = replace(switched, closed=self.closed, moved=words, ahead="", order=found.order)
         return replace(decision, switched=switched)
+
+    def reasoned(self, search: Search) -> Switched:
+        """The operations that the best decision counts on, what they are worth, and why."""
+        found = search.best
+        gain = found.score - search.stay.score
+        why, until = self._gain_words(search)
+        return replace(
+            search.record,
+            gain=gain if np.isfinite(gain) else np.nan,
+            ahead=self.branches.moves(self.closed, found.candidate.closed),
+            why=why,
+            until=until,
+        )
+
+    def begin(self, observation: Observation, stay: Decision) -> Begin:
+        """State from which operations begin: as the last step has left the feeder.
+
+        A fault that begins now comes after them.
+        """
+        t0, point, now = observation.t0, observation.operating_point, observation.forecast.out
+        before = self._out or self._out_at_start()
+        out = OutOfService(before.lines & now.lines[:1], before.buses & now.buses[:1])
+        live = np.full(self.day.network.n_buses, point is not None or not t0)
+        if point is not None:
+            live = np.isfinite(self.controller_in(self.closed).day.at_buses(point.v_pu))
+        return Begin(before, out, live)
+
+    def _out_at_start(self) -> OutOfService:
+        """Lines and buses that are out just before the day, in its order."""
+        day = self.day
+        earlier = replace(day.grid, start=day.grid.start - day.grid.step, n_steps=1)
+        return OutOfService.of(day.faults, day.network, earlier, range(1))
 
     # The choice.
 
@@ -160,7 +201,8 @@ class Switching(InConfiguration):
             self.day.network.n_buses,
         )
         present = planned_of(Reached(reach, self.closed), stay, {})
-        search = Search(self, observation, present, before, self.limits)
+        begin = self.begin(observation, stay)
+        search = Search(self, observation, present, before, begin, self.limits)
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
@@ -201,8 +243,8 @@ class Switching(InConfiguration):
 
     def _allowed(self, t0: int) -> Flags:
         """Branches that have operations of 24 hours left."""
-        per_day = DAY_H / self.day.grid.dt_h
-        recent = [moved for t, moved in self._operations if t > t0 - per_day]
+        since = t0 - DAY_H / self.day.grid.dt_h
+        recent = [moved for t, moved in self.moved if t > since]
         done = np.sum(recent, axis=0) if recent else np.zeros(len(self.branches))
         return np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
 
@@ -222,29 +264,16 @@ class Switching(InConfiguration):
             block[block == other] = one
         return True
 
-    def sources_before(self, observation: Observation) -> Wholes:
-        """Number of the live part in which each bus was in the step before, -1 in a dead one."""
-        point = observation.operating_point
-        n_buses = self.day.network.n_buses
-        if point is None and observation.t0:
-            return np.full(n_buses, -1)
-        out = out_of_branches(self._out_before(observation.t0), self.branches.ends)[0]
-        parts = blocks_of(self.branches.ends, self.closed & ~out, n_buses)
+    def sources(self, begin: Begin) -> Wholes:
+        """Number of the live part of each bus before operations, -1 in a dead one."""
+        out = out_of_branches(begin.before, self.branches.ends)[0]
+        parts = blocks_of(self.branches.ends, self.closed & ~out, len(begin.live))
         assert parts is not None  # a configuration has no loop
-        if point is None:
-            return parts
-        v_pu = self.controller_in(self.closed).day.at_buses(point.v_pu)
-        return np.where(np.isfinite(v_pu), parts, -1)
+        return np.where(begin.live, parts, -1)
 
-    def _out_before(self, t0: int) -> OutOfService:
-        """Lines and buses that were out in the step before, in the order of the day."""
-        day = self.day
-        earlier = replace(day.grid, start=day.grid.start - day.grid.step)
-        return OutOfService.of(day.faults, day.network, earlier, range(t0, t0 + 1))
-
-    def _gain_words(self, t0: int, search: Search) -> str:
-        """Customers that the operations serve, and until when; or their worth."""
-        closed, grid = search.best.candidate.closed, self.day.grid
+    def _gain_words(self, search: Search) -> tuple[str, int]:
+        """Customers that the operations serve, or their worth; and for how many steps."""
+        closed = search.best.candidate.closed
         closing, opening = closed & ~self.closed, self.closed & ~closed
         verb, which = ("closing", closing) if closing.any() else ("opening", opening)
         what = f"{verb} {named([self.branches.names[i] for i in np.flatnonzero(which)])}"
@@ -252,16 +281,17 @@ class Switching(InConfiguration):
         more = np.greater(*plans)
         gain = search.best.score - search.stay.score
         if not np.isfinite(gain):
-            return f"{what} has a plan, and the present configuration has none"
+            return f"{what} has a plan, and the present configuration has none", 0
         if not more.any():
-            return f"{what} is worth {gain:.3g} weighted customer hours"
-        end = grid.start + (t0 + int(np.flatnonzero(more.any(axis=1))[-1]) + 1) * grid.step
+            return f"{what} is worth {gain:.3g} weighted customer hours", 0
         served = counted(int(more.any(axis=0).sum()), "customer")
-        return f"{what} serves {served} until {grid.local(end):%H:%M}"
+        return f"{what} serves {served}", int(np.flatnonzero(more.any(axis=1))[-1]) + 1
 
     # Operations now, or later.
 
-    def carried(self, observation: Observation, found: Planned, stay: Planned) -> Planned | None:
+    def carried(
+        self, observation: Observation, found: Planned, stay: Planned, begin: Begin
+    ) -> Planned | None:
         """The plan with the order of its operations, or with the word that they wait; None if not.
 
         They wait where the parts of the first step are those of the present configuration, and its
@@ -269,27 +299,22 @@ class Switching(InConfiguration):
         """
         here = self.controller_in(self.closed)
         if np.array_equal(found.candidate.parts[0], stay.candidate.parts[0]):
-            state = self._state(here, observation)
+            state = self.step_state(here, observation)
             decision = self._with_lines_of(state, found.decision)
             if not violations(decision, state, self.within):
                 return replace(found, decision=decision, waits=True)
-        order = self._order(observation, found)
+        order = self._order(observation, found, begin)
         if order.operations is None:
             return None
         return replace(found, order=tuple(one.sentence for one in order.operations))
 
-    def _order(self, observation: Observation, found: Planned) -> SwitchingOrder:
-        """Order of operations, from the state in which the last step has left the feeder.
-
-        A fault that begins now comes after them.
-        """
-        t0, day = observation.t0, self.day
+    def _order(self, observation: Observation, found: Planned, begin: Begin) -> SwitchingOrder:
+        """Order of operations from the state in which they begin."""
+        day, now = self.day, observation.forecast.out
         part = self.controller_in(found.candidate.closed)
-        given = self._injections(self._state(part, observation), found.decision)
+        given = self._injections(self.step_state(part, observation), found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
-        before, now = self._out_before(t0), observation.forecast.out
-        out = OutOfService(before.lines & now.lines[:1], before.buses & now.buses[:1])
-        dark = t0 > 0 and observation.operating_point is None
+        dark, out = not begin.live.any(), begin.out
         net = day.network
         feeder = SwitchedFeeder(
             net,
@@ -321,7 +346,7 @@ class Switching(InConfiguration):
             plan.batt_q_kvar[row][able],
         )
 
-    def _state(self, part: ControllerIn, observation: Observation) -> StepState:
+    def step_state(self, part: ControllerIn, observation: Observation) -> StepState:
         """The observed step in a configuration."""
         return StepState.of(part.site, self.seen_in(part, observation), self.centre)
 
@@ -373,6 +398,8 @@ class Search:
         The plan in the present configuration.
     before : dict
         Memory of its controller before the step.
+    begin : Begin
+        State from which operations begin.
     limits : SolveLimits
         Gap and time.
     """
@@ -383,6 +410,7 @@ class Search:
         observation: Observation,
         stay: Planned,
         before: dict[str, Any],
+        begin: Begin,
         limits: SolveLimits,
     ) -> None:
         self.stay = self.best = stay
@@ -393,7 +421,8 @@ class Search:
         self._observation = observation
         self._before = before
         self._limits = limits
-        self._sources = of.sources_before(observation)
+        self._begin = begin
+        self._sources = of.sources(begin)
         self._known: list[tuple[Wholes, float]] = []
 
     @property
@@ -473,7 +502,7 @@ class Search:
     def _take(self, planned: Planned) -> None:
         """Take a plan for the best, if it is and its operations have an order."""
         if planned.score > self.best.score + self._gap:
-            found = self._of.carried(self._observation, planned, self.stay)
+            found = self._of.carried(self._observation, planned, self.stay, self._begin)
             self.best = found or self.best
 
     def certified(self) -> Decision:
@@ -492,6 +521,13 @@ class Search:
                 status = str(Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN)
             info = replace(info, bound=bound, gap_abs=gap, gap=share, status=status)
         return replace(decision, info=info)
+
+
+def _known(observation: Observation, decision: Decision) -> Observation:
+    """The observation as its decision took it for true, in the order of the day."""
+    seen = decision.seen or observation
+    forecast = replace(seen.forecast, out=observation.forecast.out)
+    return replace(seen, forecast=forecast, operating_point=observation.operating_point)
 
 
 def with_row(values: Floats, row: int, changed: Floats) -> Floats:

@@ -20,6 +20,7 @@ from vppres.control.guard.options import GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
 from vppres.control.planner import Planner
+from vppres.control.proposing import Proposing
 from vppres.control.rotation import Rotating
 from vppres.control.switching import Switching
 from vppres.core.errors import SolveError, VerificationError
@@ -91,7 +92,7 @@ def make_controller(
             make_solver=make_solver,
             own=own,
         )
-        return _of_configurations(scenario, options, of_day, own)
+        return _of_configurations(scenario, options, of_day, own, measured)
     site = site_of(scenario, options.as_record())
     guard_options = _guard_options(scenario, options, simulated=own is not None)
     make = make_solver or _solver_maker(options)
@@ -131,8 +132,12 @@ def _of_configurations(
     options: RunOptions,
     controller_of: Callable[[Scenario], Decider],
     own: Own | None,
+    measured: bool,
 ) -> InConfiguration:
-    """A controller with one of the options' for each configuration, that moves switches or not."""
+    """A controller with one of the options' for each configuration.
+
+    It moves switches if the options say so, or proposes that where they are measured.
+    """
 
     def site_in(day: Scenario) -> Site:
         return site_of(day, options.as_record())
@@ -140,10 +145,11 @@ def _of_configurations(
     def given(site: Site) -> Given:
         return {Site: site, SwitchingRules: options.switching}
 
-    if not options.move_switches:
+    if not (options.move_switches and scenario.switches.movable.any()):
         return InConfiguration(scenario, controller_of, site_in, given)
     weighed_anew = options.shares_supply or (own is not None and own.weights is not None)
-    return Switching(
+    kind = Proposing if measured else Switching
+    return kind(
         scenario,
         controller_of,
         site_in,

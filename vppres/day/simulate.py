@@ -315,6 +315,11 @@ class Day:
             now.plant.go_on_from(self.plant)
         self._work_in(now)
 
+    def _until(self, t: int, steps: int) -> str:
+        """The end of some steps by the clocks at the site, in words; empty for none."""
+        grid = self.scenario.grid
+        return f" until {grid.local(grid.times[t] + steps * grid.step):%H:%M}" if steps else ""
+
     def _in_order(self, record: StepRecord, switched: Switched, ac: ACResult) -> StepRecord:
         """A record with buses and branches in the order of the day, and what was switched."""
         day, branches = self.configured, self.branches
@@ -325,7 +330,7 @@ class Day:
             SWITCHES_OPEN: APART.join(branches.open_names(switched.closed)),
             SWITCHING_AHEAD: switched.ahead,
             "switching_gain": switched.gain,
-            SWITCHING_WHY: switched.why,
+            SWITCHING_WHY: switched.why + self._until(record.t, switched.until),
             "configurations": switched.configurations,
             "partitions_bounded": switched.bounded,
             "configurations_planned": switched.planned,

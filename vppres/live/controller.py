@@ -13,7 +13,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError, SolveError, VppresError
+from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.checks import check_faults
 from vppres.day.options import RunOptions
@@ -23,6 +23,7 @@ from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.past import Past
 from vppres.live.present import Present
+from vppres.live.proposal import Proposal
 from vppres.live.set_points import SetPoints
 from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
@@ -115,9 +116,6 @@ class Controller:
         SolverLostError
             If the solver process does not start.
         """
-        if options is not None and options.move_switches:
-            message, cure = "is not for live controllers", "Leave it out."
-            raise InputError.of("options", message, cure, field="move_switches")
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )
@@ -427,9 +425,14 @@ class Controller:
         day = present.day(decision.seen or known_now, decision.estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, known_now)
-        is_open = day.branches.open_names(present.closed)
         points = SetPoints.of(
-            day.scenario, record, foreseen, day.plant.switching, present.kinds, is_open
+            day.scenario,
+            record,
+            foreseen,
+            day.plant.switching,
+            present.kinds,
+            day.branches.open_names(present.closed),
+            Proposal.of(day.branches, decision.switched, record),
         )
         return points, present.after(day, record)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from vppres.kinds.kind import UnitsNow
 from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
+from vppres.live.proposal import Proposal
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
 
@@ -100,6 +101,8 @@ class SetPoints(SetPointsOfKinds):
         Lines and buses that are out of service, in words.
     switches_open : tuple of str
         Names of the lines and ties that are open in the plan.
+    proposal : Proposal
+        Switches that an operator is to move, with ``move_switches``.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -117,6 +120,7 @@ class SetPoints(SetPointsOfKinds):
     by_phase: ByPhase | None = None
     lines_out: tuple[str, ...] = ()
     switches_open: tuple[str, ...] = ()
+    proposal: Proposal = field(default_factory=Proposal)
 
     @classmethod
     def of(
@@ -127,6 +131,7 @@ class SetPoints(SetPointsOfKinds):
         after: SwitchingState | None = None,
         kinds: Mapping[str, UnitsNow] | None = None,
         switches_open: tuple[str, ...] = (),
+        proposal: Proposal | None = None,
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
@@ -144,6 +149,8 @@ class SetPoints(SetPointsOfKinds):
             Units as the step found them, by kind.
         switches_open : tuple of str, optional
             Lines and ties that are open.
+        proposal : Proposal, optional
+            Switches to move.
         """
         off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
@@ -165,6 +172,7 @@ class SetPoints(SetPointsOfKinds):
             by_phase=ByPhase.of(scenario, step),
             lines_out=tuple(scenario.out_of_service(range(1)).names(scenario.network, 0)),
             switches_open=switches_open,
+            proposal=proposal or Proposal(),
             **_of_kinds(scenario, step, kinds or {}),
         )
 

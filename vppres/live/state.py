@@ -269,7 +269,7 @@ def _without_switches(
     def moment(old: dict[str, Any]) -> dict[str, Any]:
         memory = old["memory"]
         if isinstance(decider, InConfiguration):
-            memory = {"closed": closed, "decider": memory}
+            memory = {"closed": closed, "moved": [], "decider": memory}
         return {"past": {**old["past"], "closed": closed}, "memory": memory}
 
     before = state["before"]

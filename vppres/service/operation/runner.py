@@ -42,6 +42,7 @@ from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.by_hand import ByHand
 from vppres.service.operation.switching import SWITCHING, Switchgear
 from vppres.service.plans.document import (
+    PROPOSED,
     Left,
     defaults_of,
     made_anew,
@@ -302,8 +303,9 @@ class Runner:
         found = self.situation(now)
         step = self._measured(now, found.is_dark)
         seen = self._carried_out(given.get("issued"), until)
-        of_plan = closed_by(self.last, self.branches)
-        return Switchgear(step, read, of_plan, found.known_soc, given, seen, not found.is_dark, now)
+        closed, proposed = closed_by(self.last, self.branches), self.last.get(PROPOSED, {})
+        has_grid, soc = not found.is_dark, found.known_soc
+        return Switchgear(step, read, closed, proposed, soc, given, seen, has_grid, now)
 
     def _carried_out(self, issued: Mapping[str, Any] | None, until: pd.Timestamp) -> bool:
         """Whether an operation was seen in a reading after it was confirmed."""

@@ -50,6 +50,8 @@ class Switchgear:
         States by switch, by its last reading.
     of_plan : array of bool, shape (E,)
         Lines and ties that are closed in the present plan.
+    proposed : mapping
+        Operations that it proposes; empty if it proposes none.
     soc : array, shape (B,)
         States of charge.
     asked : mapping
@@ -65,6 +67,7 @@ class Switchgear:
     step: Scenario
     read: Mapping[str, bool]
     of_plan: Flags
+    proposed: Mapping[str, Any]
     soc: Floats
     asked: Mapping[str, Any]
     carried_out: bool
@@ -202,6 +205,7 @@ class Switchgear:
             "issued": self.issued if status["status"] == "waiting" else None,
             "operations": [one.sentence for one in left or ()],
             "next": left[0].switch if left else None,
+            "proposed": self.proposed or None,
             "unlike_plans": [name for name, state in self.read.items() if state != of_plan[name]],
         }
 

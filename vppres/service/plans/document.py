@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 from urllib.parse import quote
 
@@ -36,6 +36,9 @@ OVERLAP = 0.1
 
 MOST_BEFORE = 20
 """Plans of one step that are kept beside the one that holds."""
+
+PROPOSED = "proposed"
+"""What a plan says of switches that an operator is to move."""
 
 STORED_VALUE = "stored_value_gbp_per_kwh"
 MOST_AHEAD = 48
@@ -147,8 +150,17 @@ def plan_of(
         },
         "ahead": _ahead(decision.foreseen, known),
         "off_h": _off_h(decision, scenario),
-        **({SWITCHES_OPEN: [*decision.switches_open]} if len(scenario.switches) else {}),
+        **_switching(decision, scenario),
     }
+
+
+def _switching(decision: SetPoints, scenario: Scenario) -> dict[str, Any]:
+    """Lines and ties that are open, and switches that an operator is to move; empty without any."""
+    if not len(scenario.switches):
+        return {}
+    proposal = decision.proposal
+    told = {PROPOSED: asdict(proposal)} if proposal.operations else {}
+    return {SWITCHES_OPEN: [*decision.switches_open], **told}
 
 
 def shed_in(decision: SetPoints) -> dict[str, str]:
