@@ -292,7 +292,7 @@ class Configured:
         return values[..., self.buses]
 
     def out_of(self, out: OutOfService) -> OutOfService:
-        """What is out in each step, from the order of the day to that of the tree."""
+        """Lines and buses that are out, from the order of the day to that of the tree."""
         net = self.scenario.network
         lines = np.ones((len(out.lines), net.n_lines), dtype=bool)  # what is open is out
         stands = self.closed & (self.lines >= 0)
