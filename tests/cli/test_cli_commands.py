@@ -157,7 +157,12 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "kind": "",
             "notes": [],
             "unbalanced": "",
-            "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
+            "deviation": {
+                "no_load_pu": None,
+                "as_given_pu": None,
+                "worst_hour_pu": None,
+                "opened_pu": None,
+            },
         },
         "remarks": [],
     }

@@ -21,6 +21,7 @@ from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario, write_new_scenario
 from vppres.io.scenario_folder import read_scenario
 from vppres.report.run_folder import write_run
+from vppres.scenario.remarks import source_words
 from vppres.scenario.source import Source
 
 # Some of pandapower's own examples warn while they are built.
@@ -55,6 +56,35 @@ def test_the_branch_with_the_least_current_is_opened() -> None:
         "service that carry the least current: line 0 (long)."
     )
     assert "Against the mesh, opening moves voltages by at most 0.00" in feeder.notes[1]
+
+
+def test_lines_of_next_to_no_impedance_leave_the_flow_of_the_mesh() -> None:
+    """Beside a micro-ohm at 230 kV the last digits of 80 MW are rounding."""
+    net = pp.create_empty_network()
+    pp.create_buses(net, 5, vn_kv=230.0)
+    pp.create_ext_grid(net, 0, vm_pu=1.01)
+    for start, end, ohm in ((0, 1, 20.0), (1, 2, 1e-6), (2, 3, 20.0), (0, 4, 40.0), (4, 3, 10.0)):
+        pp.create_line_from_parameters(
+            net, start, end, 1.0, r_ohm_per_km=ohm, x_ohm_per_km=ohm, c_nf_per_km=0.0, max_i_ka=9.0
+        )
+    pp.create_loads(net, [2, 3], p_mw=40.0, q_mvar=10.0)
+    feeder = import_network(net, open_loops=True)
+    assert feeder.notes[0].endswith("the least current: line 2.")
+    assert feeder.opened_pu == pytest.approx(0.017, abs=5e-4)
+
+
+def test_a_mesh_that_opening_changes_much_is_refused_and_told(tmp_path: Path) -> None:
+    net = ring()
+    net.load["p_mw"] = 20.0
+    feeder = import_network(net, open_loops=True)
+    with pytest.raises(InputError) as caught:
+        write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "new")
+    moved = "0.011 pu"
+    assert f"Causes: opened loops (--open-loops), {moved}" in str(caught.value)
+    write_new_scenario(feeder, NewScenarioOptions(accept_deviation=True), tmp_path / "new")
+    words = f"{moved} by opening its loops"
+    assert words in (tmp_path / "new" / "notes.md").read_text()
+    assert words in source_words(read_scenario(tmp_path / "new"))[0]
 
 
 def test_parallel_lines_are_opened_together() -> None:

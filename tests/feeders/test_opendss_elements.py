@@ -376,6 +376,22 @@ def test_a_loop_of_buses_that_is_none_of_conductors_loses_no_load(tmp_path: Path
     assert not any("Without supply" in note for note in feeder.notes)
 
 
+def test_a_transformer_is_opened_beside_a_line_of_its_name(tmp_path: Path) -> None:
+    """Bus m2 is fed from m, and by a transformer of high impedance, called as a line is."""
+    ways = (
+        f"{BANK.replace('transformer.t', 'transformer.l').replace(' m)', ' m2)')} xhl=60",
+        "new line.x bus1=m bus2=m2 r1=.03 x1=.04 r0=.06 x0=.12 c1=0 c0=0 length=1",
+        "new load.m2 bus1=m2 kv=4.16 kw=300",
+    )
+    file = written(tmp_path, (*BASE, *ways))
+    feeder = import_network(file, open_loops=True)
+    assert feeder.phased is not None
+    assert len(feeder.phased.phases.transformers) == 1
+    assert any("solution with transformer.l, the mean" in note for note in feeder.notes)
+    file.write_text(file.read_text().replace("\nsolve", "\ndisable transformer.l\nsolve"))
+    assert apart(feeder, file) < CLOSE_PU
+
+
 FLOATING = (
     "new circuit.t basekv=12.47 bus1=s mvasc3=2000 mvasc1=1800",
     "new transformer.u phases=1 xhl=6 wdg=1 bus=s.1 kv=7.2 kva=2000 wdg=2 bus=m.1.2 "

@@ -125,8 +125,9 @@ def source_deviation(feeder: ImportedFeeder, scenario: Scenario) -> SourceDeviat
     """Differences in all three states; those of a source that does not converge are not known."""
     given = feeder.deviation
     if given is None:
-        return SourceDeviation()
-    return SourceDeviation(given.no_load_pu, given.v_max_pu, worst_hour_pu(feeder, scenario))
+        return SourceDeviation(opened_pu=feeder.opened_pu)
+    worst_pu = worst_hour_pu(feeder, scenario)
+    return SourceDeviation(given.no_load_pu, given.v_max_pu, worst_pu, feeder.opened_pu)
 
 
 def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:
@@ -148,7 +149,9 @@ def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[
 
 
 def _causes(feeder: ImportedFeeder) -> str:
-    return "; ".join(feeder.causes) or "no single element of the source"
+    opened_pu = feeder.opened_pu or 0.0
+    loops = [f"opened loops (--open-loops), {opened_pu:.2g} pu"] if opened_pu > EXACT_PU else []
+    return "; ".join([*loops, *feeder.causes]) or "no single element of the source"
 
 
 def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted: bool) -> None:

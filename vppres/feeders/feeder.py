@@ -200,6 +200,8 @@ class ImportedFeeder:
     named: bool = False
     phased: PhasedSource | None = None  #: the three phases; None for a feeder that is balanced
     title: str = ""  #: the network's own name; empty if it has none
+    #: Largest change of a voltage by opening loops; None without loops, or where it is not known.
+    opened_pu: float | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

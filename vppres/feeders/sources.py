@@ -158,10 +158,11 @@ def _feeder(found: _Net, name: str, changes: PermittedChanges) -> ImportedFeeder
     ids = found.bus_ids
     if ids is None and changes.names:
         ids = bus_names(found.net)
-    net, made = changed(found.net, name, changes, ids)
+    net, (made, opened_pu) = changed(found.net, name, changes, ids)
     if keeps_phases and found.flow is None:
-        return _with_phases_of_net(found, net, name, ids, notes + made)
-    feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
+        feeder = _with_phases_of_net(found, net, name, ids, notes + made)
+        return replace(feeder, opened_pu=opened_pu)
+    feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names, opened_pu=opened_pu)
     if keeps_phases:
         # Its customers are the loads by name in any case; other notes are of the balanced tree.
         told = notes + made + feeder.left_out
@@ -188,6 +189,7 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
     flow = found.flow.of(net, feeder)
     feeder = replace(feeder, source_flow=flow, causes=(), deviation=None)
     phased = phased_source(flow.job, flow.name, feeder, flow.disabled)
+    opened_pu = flow.opened_pu()
     names = {(load.kind, load.connection.id) for load in phased.loads}
     storages = feeder.storages
     supplied = np.array([("storage", name_in(str(each))) in names for each in storages.id], bool)
@@ -199,8 +201,8 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
         else each
         for each in found.profiles
     )
-    notes = (*feeder.notes, *flow.told_opening(), *phased.notes)
-    return replace(feeder, profiles=profiles, notes=notes)
+    notes = (*feeder.notes, *flow.told_opening(opened_pu), *phased.notes)
+    return replace(feeder, profiles=profiles, notes=notes, opened_pu=opened_pu)
 
 
 def _with_phases_of_net(

@@ -30,12 +30,13 @@ def difference_words(value_pu: float) -> str:
 
 @dataclass(frozen=True)
 class SourceDeviation:
-    """Largest difference of a bus voltage from the AC power flow of the source, in three states."""
+    """Largest difference of a bus voltage from the AC power flow of the source, by its origin."""
 
     no_load_pu: float | None = None  #: without loads and generators; None where it is not known
     as_given_pu: float | None = None  #: with the loads and generators that the source gives
     #: In the hour of the series in which the voltages differ most.
     worst_hour_pu: float | None = None
+    opened_pu: float | None = None  #: what opening its loops changes, as the source gives it
 
     @property
     def largest_pu(self) -> float | None:
@@ -58,6 +59,7 @@ class SourceDeviation:
             ("at no load", self.no_load_pu),
             ("as given", self.as_given_pu),
             ("in the worst hour", self.worst_hour_pu),
+            ("by opening its loops", self.opened_pu),
         )
 
 

@@ -126,10 +126,10 @@ class OpenDSSFlow:
         self.losses_kw: float | None = found["losses_kw"]
         self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
         self.closed = [
-            (element.get("element", f"transformer.{element['name']}"), element["name"])
+            branch["element"]
             for table in ("lines", "transformers")
-            for element in found[table]
-            if element["closed"]
+            for branch in found[table]
+            if branch["closed"]
         ]
         complete = found.get("complete", [])
         self.complete = {self.index[bus] for bus in complete if bus in self.index}
@@ -142,12 +142,12 @@ class OpenDSSFlow:
     def of(self, net: Any, feeder: ImportedFeeder) -> OpenDSSFlow:
         """The flow for a feeder of the circuit's net, with what was opened in the net."""
         kept = {
-            name
+            element
             for table in ("line", "trafo")
-            for names in net[table].loc[net[table]["in_service"], "name"]
-            for name in str(names).split(TOGETHER)
+            for elements in net[table].loc[net[table]["in_service"], "element"]
+            for element in str(elements).split(TOGETHER)
         }
-        self.disabled = sorted({each for each, name in self.closed if name not in kept})
+        self.disabled = sorted({*self.closed} - kept)
         at = {bus: feeder.bus_of[i] for bus, i in self.index.items() if i in feeder.bus_of}
         giving = {at[bus] for bus in self.giving if bus in at}
         self.groups = {own: [bus for bus in at if at[bus] == own] for own in giving}
@@ -187,18 +187,24 @@ class OpenDSSFlow:
         first = f"{self.causes[0]} (buses with three phases differ by at most {left_pu:.2g} pu)"
         return (first, *self.causes[1:])
 
-    def told_opening(self) -> Iterator[str]:
+    def opened_pu(self) -> float | None:
+        """Largest change of a bus's mean voltage by what is out of service here alone."""
+        if not self.disabled:
+            return None
+        opened, whole = self.as_given() or {}, self.given or {}
+        apart = (abs(opened[bus] - v) for bus, v in whole.items() if bus in opened)
+        return max(apart, default=None)
+
+    def told_opening(self, opened_pu: float | None) -> Iterator[str]:
         """Sentence on the effect of opening elements that are in service in the source."""
         if not self.disabled:
             return
-        opened, whole = self.as_given() or {}, self.given or {}
-        apart = [abs(opened[bus] - v) for bus, v in whole.items() if bus in opened]
-        if not apart:
+        if opened_pu is None:
             yield f"OpenDSS finds no solution without {named(self.disabled)}."
             return
         yield (
             f"Against OpenDSS's solution with {named(self.disabled)}, the mean voltage of a bus "
-            f"moves by at most {max(apart):.2g} pu."
+            f"moves by at most {opened_pu:.2g} pu."
         )
 
     def as_given(self) -> dict[int, float] | None:
@@ -267,6 +273,7 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     for transformer in transformers:
         _add_transformer(net, transformer, at)
     for table, rows in (("line", found["lines"]), ("trafo", transformers)):
+        net[table]["element"] = [row["element"] for row in rows]
         for column in ("phases", "carried_kva"):
             net[table][column] = [float(row[column]) for row in rows]
     for shunt in found["shunts"]:
@@ -400,7 +407,7 @@ def _bank(units: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         **units[0],
         **mean,
-        "name": TOGETHER.join(unit["name"] for unit in units),
+        **{key: TOGETHER.join(unit[key] for unit in units) for key in ("name", "element")},
         "kva": sum(unit["kva"] for unit in units),
         "carried_kva": sum(unit["carried_kva"] for unit in units),
         "phases": sum(unit["phases"] for unit in units),

@@ -537,6 +537,7 @@ def _between(
     """The active transformer between two buses, without its core."""
     return {
         "name": name,
+        "element": f"transformer.{name}",
         "start": first.bus,
         "end": end,
         "closed": True,
@@ -588,10 +589,9 @@ def _legs_of_star(circuit: Circuit, name: str) -> Iterator[dict[str, Any]]:
     for number in (1, 2, 3):
         own = Winding(number)
         kv = [_in_use_kv(circuit, own, own.rated_kv), star_kv]
-        leg = f"{name} winding {number}"
         yield {
-            **_between(circuit, leg, own, star, kv, len(phases), [*phases], own.percent),
-            "element": f"transformer.{name}",
+            **_between(circuit, name, own, star, kv, len(phases), [*phases], own.percent),
+            "name": f"{name} winding {number}",
             "carried_kva": MOST_KVA,
         }
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from vppres.feeders.net.balance import balance_net
 from vppres.feeders.net.grids import one_grid
-from vppres.feeders.net.loops import open_loops
+from vppres.feeders.net.loops import Opening, open_loops
 from vppres.feeders.net.reduce import open_named
 from vppres.feeders.net.stand_ins import stand_ins
 from vppres.scenario.network import BusId
@@ -31,14 +31,13 @@ class PermittedChanges:
 
 def changed(
     net: Any, name: str, changes: PermittedChanges, bus_ids: Mapping[int, BusId] | None = None
-) -> tuple[Any, tuple[str, ...]]:
-    """A changed copy of a net, and notes on what was changed."""
+) -> tuple[Any, Opening]:
+    """A changed copy of a net, and notes on what was changed, with the effect of opened loops."""
     net = copy.deepcopy(net)
     notes = [*one_grid(net, name, changes.slack, bus_ids)]
     open_named(net, name, changes.open_branches)
     notes += stand_ins(net)
     if changes.balance:
         notes += balance_net(net)
-    if changes.open_loops:
-        notes += open_loops(net, name)
-    return net, tuple(notes)
+    opening = open_loops(net, name) if changes.open_loops else Opening()
+    return net, Opening((*notes, *opening.notes), opening.moved_pu)

@@ -8,9 +8,8 @@ changes little when it is opened, so losses stay near those of the mesh.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import ceil
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,8 +21,19 @@ from vppres.feeders.net.reduce import BRANCHES, case_of, without_stubs
 from vppres.scenario.network import find_loops
 
 N_PHASES = 3
-MOST_FLOWS = 30
+MOST_FLOWS = 100
 """Power flows of one search; a net with more loops loses several branches after each."""
+
+EXACT = 1e-6
+"""Share of the loads to which the power at each bus is solved for: beside lines of a micro-ohm the
+last digits of the flows are rounding."""
+LEAST_MVA = 1e-8
+
+NO_FLOW = (
+    "The AC power flow of the net has no solution with all its loops or without: where it has "
+    "none, the branches with the least current in the source's own are opened, or without it those "
+    "with the largest impedance."
+)
 
 # Of each table: the bus at the first end, and the power that goes in there.
 FIRST_END = {
@@ -34,8 +44,15 @@ FIRST_END = {
 Element = tuple[str, Any]
 
 
-def open_loops(net: Any, name: str) -> Iterator[str]:
-    """Open branches in place until the net is radial; notes name them and say what it changes.
+class Opening(NamedTuple):
+    """Opened loops of a net."""
+
+    notes: tuple[str, ...] = ()  #: on the branches that are open, and the effect
+    moved_pu: float | None = None  #: largest change of a voltage; None: not known
+
+
+def open_loops(net: Any, name: str) -> Opening:
+    """Open branches in place until the net is radial.
 
     Parallel branches count as one. Transformers with three windings are never opened. Where the
     power flow has no solution, the branches with the least current in the source's own are opened,
@@ -56,41 +73,36 @@ def open_loops(net: Any, name: str) -> Iterator[str]:
         opened += found
         after = _solved(net)
         closing = _closing(net, after is not None)
-    if opened:
-        names = ", ".join(label(net, *element) for element in opened)
-        yield (
-            f"The net is meshed: to open its {n_loops} loops (--open-loops), those branches are "
-            f"taken out of service that carry the least current: {names}."
-        )
-        yield _change(before, after)
+    if not opened:
+        return Opening()
+    names = ", ".join(label(net, *element) for element in opened)
+    note = (
+        f"The net is meshed: to open its {n_loops} loops (--open-loops), those branches are "
+        f"taken out of service that carry the least current: {names}."
+    )
+    if before is None or after is None:
+        return Opening((note, NO_FLOW))
+    moved_pu = float((after - before).abs().max())
+    effect = (
+        f"Against the mesh, opening moves voltages by at most {moved_pu:.2g} pu; losses are "
+        f"{after.name:.1f} kW instead of {before.name:.1f} kW."
+    )
+    return Opening((note, effect), moved_pu)
 
 
 def _solved(net: Any) -> pd.Series[float] | None:
     """Voltages by bus, with the losses as its name; None without an AC solution."""
     import pandapower as pp
 
+    load_mva = float(np.hypot(net.load["p_mw"], net.load["q_mvar"]).sum())
+    tolerance_mva = max(EXACT * load_mva, LEAST_MVA)
     try:
-        pp.runpp(net, calculate_voltage_angles="auto", numba=False)
+        pp.runpp(net, calculate_voltage_angles="auto", tolerance_mva=tolerance_mva, numba=False)
     except pp.LoadflowNotConverged:
         return None
     losses_mw = sum(float(net[f"res_{table}"]["pl_mw"].sum()) for table in BRANCHES)
     v_pu: pd.Series[float] = net.res_bus["vm_pu"].rename(float(mw_to_kw(losses_mw)))
     return v_pu
-
-
-def _change(before: pd.Series[float] | None, after: pd.Series[float] | None) -> str:
-    """Effect of opening on the voltages."""
-    if before is None or after is None:
-        return (
-            "The AC power flow of the net has no solution with all its loops or without: where it "
-            "has none, the branches with the least current in the source's own are opened, or "
-            "without it those with the largest impedance."
-        )
-    moved = (after - before).abs().max()
-    return (
-        f"Against the mesh, opening moves voltages by at most {moved:.2g} pu; losses are "
-        f"{after.name:.1f} kW instead of {before.name:.1f} kW."
-    )
 
 
 def _closing(net: Any, solved: bool) -> list[list[Element]]:

@@ -222,9 +222,10 @@ def write_new_scenario(
     else:
         given_pu = feeder.phased.difference_pu
         worst_pu = None if given_pu is None else worst_hour_by_phase(feeder, scenario)
-        deviation = SourceDeviation(as_given_pu=given_pu, worst_hour_pu=worst_pu)
+        opened_pu = feeder.opened_pu
+        deviation = SourceDeviation(None, given_pu, worst_pu, opened_pu)
         # Taps stay as given, so that hours of less demand leave the range of the loads' models.
-        checked = SourceDeviation(as_given_pu=given_pu)
+        checked = SourceDeviation(as_given_pu=given_pu, opened_pu=opened_pu)
         closeness = str(deviation)
     check_deviation(feeder, checked, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
