@@ -16,6 +16,7 @@ from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
 from vppres.report.operating_order import shown_orders
+from vppres.scenario.configuration import Branches, in_configuration
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -106,6 +107,27 @@ def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
     of_steps = reasons[reasons["item"] == "step"]["words"].tolist()
     assert of_steps[2].endswith(sentence)
     assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
+
+
+def test_words_tell_a_line_that_is_open_from_one_that_is_out(tiny: Scenario) -> None:
+    """Line 2-4 is open all day, and has a fault from 12:00 to 14:00."""
+    batteries = tiny.batteries
+    for forms, words in (
+        ([True, False], "no battery forms the grid behind line 2-4, which is {}"),
+        ([True, True], "the part behind line 2-4, which is {}, has too little power or energy"),
+    ):
+        stores = replace(
+            batteries, grid_forming=forms, p_max_kw=[50.0, 5.0], s_max_kva=[60.0, 60.0]
+        )
+        day = with_fault(replace(tiny, batteries=stores), Switches.none(), line=4)
+        branches = Branches.of(day)
+        closed = branches.closed & (np.array(branches.names) != "2-4")
+        run = explain_day(run_day(in_configuration(day, branches, closed).scenario, PAPER))
+        told = run.explanations
+        assert told is not None
+        homes = told[(told["item"] == "customer") & (told["id"] == "homes")]["words"]
+        states = ["open", "open", "out", "out", "open", "open"]
+        assert homes.tolist() == [f"Not supplied: {words.format(state)}." for state in states]
 
 
 def test_words_say_that_no_switch_would_serve_more(tiny: Scenario) -> None:

@@ -70,9 +70,7 @@ def why_not_served(step: Step, customer: int) -> Reason:
         )
     line = step.recorded.behind(step.t, _bus_of(step, customer))
     if line:
-        words = (
-            f"Not supplied: the part behind {line}, which is out, has too little power or energy."
-        )
+        words = f"Not supplied: the part behind {line}, has too little power or energy."
         return Reason("fault", "", words)
     if step.service is None:
         return _from_the_record(step, customer)

@@ -38,7 +38,7 @@ from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import GRID, phased_model
 from vppres.model.ratings import with_ratings
-from vppres.scenario.faults import behind, parts_by_bus
+from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import FixedDecisions
@@ -200,11 +200,11 @@ class Recorded:
         return (*beyond_paper(self.site, seen), *rated)
 
     def behind(self, t: int, bus: BusId) -> str:
-        """The line that is out between a bus and the grid in a step, in words; empty for none."""
+        """The line between a bus and the part with the grid in a step; empty for none."""
         out = self.scenario.out_of_service(range(t, t + 1))
         network = self.scenario.network
         number = int(parts_by_bus(network, out.lines)[0, network.bus_index[bus]])
-        return behind(network, number) if number else ""
+        return self.scenario.behind(number, t) if number else ""
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""

@@ -19,7 +19,7 @@ from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, PartOfPlant, Settled
 from vppres.plant.plant import BatteryState, Plant, Realised
-from vppres.scenario.faults import OutOfService, behind, parts_by_bus
+from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within
 from vppres.scenario.network import Network
 
@@ -113,6 +113,7 @@ class PlantInParts:
         online: Flags,
     ) -> SettledPart:
         """The part of some buses."""
+        scenario = self.plant.scenario
         number = int(np.argmax(buses))
         lines = buses[1:] & ~out.lines[0]
         inside = PartOfPlant.of(self.plant.places, buses)
@@ -128,10 +129,9 @@ class PlantInParts:
                 t, planned, state, f"bus {bus_out[0]} is out"
             )
             return SettledPart(inside, lines, done)
-        line = behind(self.network, number)
-        where = f"behind {line}, which is out" if number else "at the grid's bus"
+        where = f"behind {scenario.behind(number, t)}" if number else "at the grid's bus"
         island = IslandPlant(self.plant, flow, inside, where)
-        island.formers = formers_within(self.plant.scenario, inside.batteries) & online
+        island.formers = formers_within(scenario, inside.batteries) & online
         return SettledPart(inside, lines, island.settle(t, planned, state))
 
     def _of_part(self, t: int, decision: Decision, inside: PartOfPlant) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
 from vppres.core.text import named
-from vppres.scenario.faults import LineFault, OutOfService
+from vppres.scenario.faults import LineFault, OpenLine, OutOfService
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import OF_THE_LINE, SWITCH_DEFAULTS, Switches
@@ -372,14 +372,14 @@ def _tree(ends: Wholes, closed: Flags, n_buses: int) -> Wholes:
 
 
 def _faults_of(day: Scenario, closed: Flags, tree: Network, lines: Wholes) -> Iterator[LineFault]:
-    """Faults of closed lines and of buses, and open branches of the tree as lines that are out."""
+    """Faults of the tree's lines and of buses, and its open branches."""
     for fault in day.faults:
         if fault.line is None:
             yield fault
             continue
-        line = fault.at(day.network) - 1
-        if closed[line]:
-            yield replace(fault, line=tree.to_bus[lines[line]])
+        line = lines[fault.at(day.network) - 1]
+        if line >= 0:
+            yield replace(fault, line=tree.to_bus[line])
     grid = day.grid
     for branch in np.flatnonzero(~closed & (lines >= 0)):
-        yield LineFault(grid.start, grid.end, line=tree.to_bus[lines[branch]])
+        yield OpenLine(grid.start, grid.end, line=tree.to_bus[lines[branch]])

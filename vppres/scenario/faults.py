@@ -64,6 +64,10 @@ class LineFault:
         return line_name(network, self.at(network) - 1)
 
 
+class OpenLine(LineFault):
+    """A line that is only open, in a configuration: it carries as little as one that is out."""
+
+
 def line_name(network: Network, line: int) -> str:
     """A line by its ends, that towards the grid first.
 
@@ -179,11 +183,6 @@ def parts_by_bus(network: Network, lines: Flags) -> Wholes:
     for line, above in enumerate(network.parent):
         number[:, line + 1] = np.where(lines[:, line], line + 1, number[:, above])
     return number
-
-
-def behind(network: Network, part: int) -> str:
-    """The line that is out between a part and the grid, in words."""
-    return line_name(network, part - 1)
 
 
 def known_faults(

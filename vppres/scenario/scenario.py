@@ -19,7 +19,14 @@ from vppres.kinds.fields import OfKinds
 from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import LineFault, OutOfService, check_places, known_faults
+from vppres.scenario.faults import (
+    LineFault,
+    OpenLine,
+    OutOfService,
+    check_places,
+    known_faults,
+    line_name,
+)
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -233,6 +240,17 @@ class Scenario(OfKinds):
         if known_at is not None:
             faults = known_faults(faults, self.grid.times[known_at], self.grid.step)
         return OutOfService.of(faults, self.network, self.grid, steps)
+
+    def behind(self, part: int, step: int) -> str:
+        """The line between a part and the grid in a step, and whether it is out or only open."""
+        at = range(step, step + 1)
+        there = [
+            isinstance(fault, OpenLine)
+            for fault in self.faults
+            if OutOfService.of([fault], self.network, self.grid, at).lines[0, part - 1]
+        ]
+        state = "open" if there and all(there) else "out"
+        return f"{line_name(self.network, part - 1)}, which is {state}"
 
     @cached_property
     def load_kvar(self) -> Floats:
