@@ -36,6 +36,7 @@ from vppres.kinds.table import units_of
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
+from vppres.model.parts import at_items
 from vppres.model.phases import SIDES, phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers, PVSystems
@@ -255,6 +256,7 @@ def plain_problem(
     p = cp.hstack([cp.multiply(data.load_kw, x), -through, net])
     q = cp.hstack([cp.multiply(kvar, x), -q_pv, -q_batt])
     rows += phase_rows(site, data, p, q)
+    rows += part_rows(site, data, x, exported, (charge, discharge), p, q)
     w = site.weights
     curtailed = cp.sum(data.pv_kw - through)
     worth = (
@@ -263,6 +265,34 @@ def plain_problem(
         - w.lambda_curt * curtailed
     )
     return cp.Problem(cp.Maximize(site.dt_h * worth), rows)
+
+
+def part_rows(
+    site: Site,
+    data: WindowData,
+    x: cp.Variable,
+    exported: cp.Variable,
+    battery: tuple[cp.Variable, cp.Variable],
+    p: cp.Expression,
+    q: cp.Expression,
+) -> list[cp.Constraint]:
+    """The balance of each part behind a line that is out; nothing in those that are dead."""
+    parts, at_bus = data.parts, phased_model(site).at_bus_of_assets
+    assert data.drawn is not None
+    places = [(x, site.customer_bus), (exported, site.pv_bus)]
+    places += [(each, site.battery_bus) for each in battery]
+    found: list[cp.Constraint] = []
+    for t in np.flatnonzero(parts.cut):
+        for number in np.unique(parts.of_bus[t])[1:]:
+            inside = parts.of_bus[t] == number
+            for drawn, own in ((p, data.drawn.kw), (q, data.drawn.kvar)):
+                total = float(own[t, inside].sum())
+                found.append(cp.sum(drawn[t, np.flatnonzero(inside[at_bus])]) + total == 0.0)
+        for letter, place in places:
+            dead = np.flatnonzero(at_items(parts.dead[[t]], place)[0])
+            if len(dead):
+                found.append(letter[t, dead] == 0)
+    return found
 
 
 def _discs(
@@ -282,24 +312,26 @@ def phase_rows(
     phased = data.require_phased()
     found: list[cp.Constraint] = []
     for t in np.flatnonzero(lit_steps(data)):
-        island = bool(data.dark[t])
-        source = model.sources(data)[t]
-        slopes = model.slopes[source]
+        source = int(model.sources(data)[t])
+        supply = model.supplies[max(source, 0)]
+        slopes = supply.slopes
         draws = np.ones(p.shape[1])
-        if island:
-            draws[model.devices[source]] = 0.0
+        draws[supply.devices] = 0.0
         p_t, q_t = cp.multiply(p[t], draws), cp.multiply(q[t], draws)
         by_p, by_q = slopes.of_voltages(np.arange(len(slopes.u_0)))
         u = phased.u_offset[t] + by_p @ p_t + by_q @ q_t
-        limited = np.flatnonzero(model.limited)
+        limited = np.flatnonzero(model.limits_at(data, lit_steps(data))[t])
         found += [u[limited] >= phased.u_min[t][limited], u[limited] <= phased.u_max[t][limited]]
-        if not island:
+        formed = np.flatnonzero(supply.forms)
+        if not len(formed):
             continue
         for angle in 2.0 * np.pi * np.arange(SIDES) / SIDES:
             turn = np.exp(-1j * angle)
-            by_p, by_q = np.real(turn * slopes.former_p), np.real(turn * slopes.former_q)
-            rest = np.real(turn * phased.former_offset[t])
-            room = np.cos(np.pi / SIDES) * phased.room_kva[t]
+            by_p, by_q = (
+                np.real(turn * each[formed]) for each in (slopes.former_p, slopes.former_q)
+            )
+            rest = np.real(turn * phased.former_offset[t, formed])
+            room = np.cos(np.pi / SIDES) * phased.room_kva[t, formed]
             found.append(rest + by_p @ p_t + by_q @ q_t <= room)
     return found
 

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.studies.phased_feeders import in_phases
 from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
-from vppres import Controller, RunOptions, run_day
-from vppres.core.errors import InputError
+from vppres import RunOptions, run_day
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.inversions import inversions
 from vppres.day.metrics import cautions
@@ -23,6 +23,7 @@ from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 
 PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
+PHYSICAL = replace(PAPER, mode="physical")
 NOON, HOUR = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
 
 
@@ -88,13 +89,59 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
     assert served[0] > served[1]
 
 
-def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
-    day = with_fault(tiny, line=4)
-    phased = replace(PAPER, mode="physical")
-    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        Controller.of(three_phases(day), phased)
-    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        run_day(three_phases(day), phased)
+def test_a_part_with_phases_is_dark_by_name(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=named), line=4)
+    run = run_day(three_phases(day), PHYSICAL)
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["served"].tolist() == [True, True, False, False, True, True]
+    assert set(homes["off_by_fault"][2:4]) == {
+        "no battery forms the grid behind line 2-4, which is out"
+    }
+    assert run.nodes is not None
+    dark = run.nodes["v_ac_pu"].isna()
+    assert set(run.nodes["bus"][dark]) == {"4"} and dark.sum() == 2 * 3
+
+
+def known(day: Scenario) -> Scenario:
+    """The day in physical mode whose faults are known, with inverters that limit nothing."""
+    wide = replace(day.batteries, s_max_kva=np.full(len(day.batteries), 600.0))
+    faults = tuple(replace(fault, known=True) for fault in day.faults)
+    return replace(day, faults=faults, batteries=wide)
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", range(12))
+def test_three_equal_phases_go_through_faults_as_one(seed: int) -> None:
+    day = known(faulted_day(seed, steps=3))
+    one, three = (run_day(each, PHYSICAL) for each in (day, three_phases(day)))
+    for column in ("served", "off_by_fault"):
+        assert one.customers[column].tolist() == three.customers[column].tolist()
+    assert three.steps["objective"].to_numpy() == pytest.approx(one.steps["objective"], abs=2e-3)
+    assert three.steps["island_mismatch_kw"].abs().max() < 0.1
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", range(12))
+def test_each_part_of_an_unbalanced_feeder_has_its_own_former(seed: int) -> None:
+    """Nobody is shed that a plan knows as supplied, in the first step by rule, then by plans."""
+    day = in_phases(faulted_day(seed), np.random.default_rng([seed, 62]))
+    faults = tuple(replace(fault, known=True) for fault in day.faults)
+    outage = FaultPlan({0: SolverOutage("killed")})
+    run = explain_day(run_day(replace(day, faults=faults), PHYSICAL, faults=outage))
+    assert run.steps["fallback"].tolist() == ["rule", "none", "none", "none"]
+    assert not run.customers["shed"].any()
+    out = run.steps["lines_out"].ne("")
+    assert out.any()
+    assert run.steps["island_mismatch_kw"][out].abs().max() < 0.1
+    assert run.steps["v_error_pu"][1:].max() < 2e-4
+    most_kva = float(day.batteries.s_max_kva.max()) / 3.0
+    kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+    assert np.nanmax(kva, initial=0.0) <= most_kva + 1e-3
+    assert run.explanations is not None
+    off = run.explanations[run.explanations["action"] == "not_served"]
+    planned = run.by_step("customers", "off_by_fault")[1:]
+    assert (off["driver"] == "fault").sum() >= (planned != "").sum()
 
 
 @pytest.mark.nightly

@@ -66,7 +66,15 @@ def test_a_fault_is_reported_to_a_controller_of_your_own(tiny: Scenario) -> None
     assert points.customers["served"].all()
 
 
-def test_a_phased_feeder_refuses_a_report(tiny: Scenario) -> None:
-    controller = Controller.of(three_phases(tiny), replace(PAPER, mode="physical"))
-    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        controller.report(LineFault(NOON, NOON + HOUR, line=4))
+def test_a_fault_of_a_phased_feeder_is_reported_too(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    day = replace(tiny, batteries=named, grid_limit_kw=np.full(tiny.grid.n_steps, np.inf))
+    options = RunOptions(mode="physical", horizon_h=0.0, isolate=False)
+    controller = Controller.of(three_phases(day), options)
+    begin = day.grid.times[1]
+    controller.report(LineFault(begin, begin + HOUR, line=4))
+    points = stepped(day, controller, 1, day.batteries.soc_initial)
+    assert points.lines_out == ("line 2-4",)
+    assert points.customers["served"].tolist() == [True, True, False]
+    assert points.by_phase is not None
+    assert "4" not in points.by_phase.nodes.index.get_level_values("bus")

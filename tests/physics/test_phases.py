@@ -238,7 +238,7 @@ def test_newton_finds_what_the_fixed_point_finds(day: Scenario) -> None:
     grid, _ = flows(day)
     p, q = powers(day, 18)
     found = grid.solve(p, q)
-    by_newton = grid._newton(p, q, grid._u0)
+    by_newton = grid._newton(p, q, grid.no_load_u)
     assert by_newton is not None
     assert np.abs((by_newton - found.coil_v) / grid.rated_v).max() < 1e-8
 
@@ -258,7 +258,7 @@ def test_turned_phases_turn_the_answer() -> None:
     for words in (("a", "bc"), ("b", "ca")):
         rows = [PhaseConnection(f"x{i}", "e", word, 2.4) for i, word in enumerate(words)]
         phases = Phases(buses, lines, connections=tuple(rows))
-        flow = PhasedFlow(phases, ["x0", "x1"], "s", 1.0)
+        flow = PhasedFlow(phases, ["x0", "x1"], [("s", 1.0)])
         found.append(flow.solve(np.array([300.0, 200.0]), np.array([100.0, 50.0])))
     np.testing.assert_allclose(found[1].source_kva, np.roll(found[0].source_kva, 1), rtol=1e-9)
 
@@ -270,7 +270,7 @@ def test_loadings_are_currents_over_ratings() -> None:
     line = PhaseLine("s", "e", z, np.zeros((3, 3)), i_max_a=100.0)
     load = PhaseConnection("x", "m", "b", 2.4)
     phases = Phases(tuple(buses), (line,), (unit,), connections=(load,))
-    flow = PhasedFlow(phases, ["x"], "s", 1.0)
+    flow = PhasedFlow(phases, ["x"], [("s", 1.0)])
     found = flow.solve(np.array([200.0]), np.array([80.0]))
     loadings = Loadings.of(phases)
     share = dict(zip(loadings.names, loadings.at(found.v), strict=True))
@@ -420,7 +420,7 @@ def check_price_of_a_phase(trajectory: Trajectory) -> None:
     phased = window.require_phased()
     values = {}
     for change in (-0.01, 0.0, 0.01):
-        room = phased.room_kva + change * (np.arange(window.n_steps) == 0)
+        room = phased.room_kva + change * (np.arange(window.n_steps) == 0)[:, None]
         other = replace(window, phased=replace(phased, room_kva=room))
         answer = price_window(model, other, held, terms)
         assert answer is not None

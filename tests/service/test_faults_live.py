@@ -154,15 +154,14 @@ def test_what_is_not_there_is_refused_once(
     assert runner.anew() is None
 
 
-def test_a_phased_feeder_refuses_it(tiny: Scenario, tmp_path: Path) -> None:
-    service = Service(three_phases(site(tiny)), replace(HERE, mode="physical"))
-    with client(service, tmp_path, SetClock(NOON)) as http:
-        answer = http.put("/v1/events/x", FAULT)
-    assert answer.status == 422
-    words = (
-        "event, type = fault: is not stated for feeders with phases. Put an event outage or alert"
-    )
-    assert str(answer.json()).count(words) == 1
+def test_a_feeder_with_phases_knows_the_parts(one_former: Scenario, tmp_path: Path) -> None:
+    service = Service(three_phases(site(one_former)), replace(HERE, mode="physical"))
+    clock = SetClock(NOON)
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/feeder-b", FAULT)
+        plan = decided(http, clock, NOON)
+    assert off(plan) == {"homes": f"blacked out: {BEHIND}"}
+    assert [one["name"] for one in plan["faults"]] == ["line 2-4"]
 
 
 def test_a_step_by_rule_knows_the_parts(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from experiments.studies.phased_feeders import (
     random_phased,
     with_a_former,
 )
+from tests.support.faulted import faulted_day
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.sets import gensets, random_sets
@@ -36,7 +37,7 @@ from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -66,7 +67,7 @@ def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
     low, high = (each[lit_steps(data)][:, model.limited] for each in (phased.u_min, phased.u_max))
     island = data.dark & lit_steps(data)
     kva = np.abs(phased.former_offset + former)[island].max(axis=1)
-    rooms = (u - low, high - u, 1.0 - kva / phased.room_kva[island])
+    rooms = (u - low, high - u, 1.0 - kva / phased.room_kva[island, 0])
     return min(float(np.min(room, initial=1.0)) for room in rooms)
 
 
@@ -79,6 +80,21 @@ BY_COST = (4443,)
 def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
     site, data, found = decided(random_phased(seed))
     assert seed not in BINDING or nearest(site, data, found) < 0.01
+    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    gap = max(5e-3, 1e-4 * abs(found.objective))
+    assert inside - gap <= found.objective <= around + 1e-6
+    assert found.bound >= inside - 1e-6
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", [2, 9, 15])
+def test_windows_in_parts_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
+    """Each part that something forms has its own balance and phases of its own former."""
+    day = faulted_day(seed, steps=3)
+    known = tuple(replace(fault, known=True) for fault in day.faults)
+    physical = replace(day, faults=known, controller=ControllerDefaults(mode="physical"))
+    site, data, found = decided(in_phases(physical, np.random.default_rng([seed, 62])))
+    assert data.parts.forms.any()
     inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
     gap = max(5e-3, 1e-4 * abs(found.objective))
     assert inside - gap <= found.objective <= around + 1e-6

@@ -79,6 +79,7 @@ def _part_at(state: StepState, buses: Flags, with_grid: bool, dead: bool) -> Par
         export_limit_kw=state.export_limit_kw if with_grid else 0.0,
         online=state.online & batteries & (not dead),
         drawn=drawn,
+        inside=buses,
         ahead=state.ahead.part(slice(1)).in_dead_parts(lit),
         taken_kw={kind: kw * lit[kind][0] for kind, kw in state.taken_kw.items()},
         running={kind: on & lit[kind][0] for kind, on in state.running.items()},

@@ -21,7 +21,6 @@ from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.phases import PhasedModel, phased_model
 from vppres.physics.phases import NoPhasedSolutionError, PhasedResult
-from vppres.scenario.formers import largest_forming_battery
 from vppres.scenario.phases import PHASES, PhaseConnection
 
 MOST_FLOWS = 4
@@ -78,6 +77,14 @@ def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     return found is not None and former.fits(found) and former.surplus_kw(found) == 0.0
 
 
+def supply_of(state: StepState) -> int:
+    """Supply of a step, or of the part that it is, in the model of its site."""
+    model = phased_model(state.site)
+    if state.parts.whole:
+        return int(model.sources_of(np.array(state.island), state.formers))
+    return model.source_in(state.parts, state.island, state.inside)
+
+
 @dataclass(frozen=True, eq=False)
 class Former:
     """Device that holds an island in a step: a battery, or a unit of a kind.
@@ -97,7 +104,7 @@ class Former:
     def of(cls, state: StepState) -> Former | None:
         """The device that forms the island of a step; None if none can."""
         model = phased_model(state.site)
-        source = int(model.sources_of(np.array(state.island), state.formers))
+        source = supply_of(state)
         for kind, forms in state.formers.items():
             units, known = state.site.kinds[kind], state.ahead.by_kind[kind]
             taken_kw, on = zip(
@@ -111,7 +118,7 @@ class Former:
             most_kvar = float(known.q_most_kvar(units)[0][forms].sum())
             runs = bool((on[0] & forms).any())
             return cls(state, model, source, least_kw, most_kw, most_kvar) if runs else None
-        battery = largest_forming_battery(state.site)
+        battery = state.forming_battery
         if battery is None or not state.online[battery]:
             return None
         least_kw = -float(state.charge_max_kw[battery])
@@ -122,7 +129,7 @@ class Former:
     @cached_property
     def phase_kva(self) -> float:
         """Rating of each of its phases."""
-        return float(self.model.ratings_kva(np.array(self.source))) / len(PHASES)
+        return float(self.model.supplies[self.source].ratings_kva[0]) / len(PHASES)
 
     @cached_property
     def others(self) -> Flags:
@@ -145,9 +152,11 @@ class Former:
         """Whether it and all voltages allow a power flow."""
         net = self.state.site.feeder
         total = found.source_kva.sum()
-        v_pu = self.model.flows[self.source].v_pu(found.v)[self.model.limited]
+        supply = self.model.supplies[self.source]
+        limited = self.model.limited & supply.flow.measured_lit
+        v_pu = supply.flow.v_pu(found.v)[limited]
         # Limits give way to the voltages at rest, as those of plans do.
-        at_rest_pu = np.sqrt(self.model.slopes[self.source].u_0)[self.model.limited]
+        at_rest_pu = np.sqrt(supply.slopes.u_0)[limited]
         return bool(
             total.real <= self.most_kw
             and abs(total.imag) <= self.most_kvar
@@ -190,7 +199,9 @@ class Former:
 
     def _far_beyond(self, before: Schedule, drawn_kw: Floats) -> bool:
         """Whether half of what is drawn more than before is beyond its active power."""
-        more_kw = self.model.slopes[self.source].former_p.real @ (drawn_kw - before.drawn_kw)
+        more_kw = self.model.supplies[self.source].slopes.former_p.real @ (
+            drawn_kw - before.drawn_kw
+        )
         half_kw = before.found.source_kva.real + 0.5 * more_kw
         most_kw = self.phase_kva + TOLERANCE_KVA
         return bool(half_kw.sum() > self.most_kw or half_kw.max() > most_kw)

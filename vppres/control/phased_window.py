@@ -18,6 +18,7 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_exported, sun_used_and_left
+from vppres.model.parts import at_items
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
 from vppres.physics.phased_sources import farthest
@@ -54,7 +55,7 @@ class PhasedLinearisation:
         lit = lit_steps(data)
         u, former, currents = self.model.at_no_load(data)
         former[data.dark & ~lit] = currents[data.dark & ~lit] = 0.0
-        rated_kva = self.model.ratings_kva(self.model.sources(data))
+        rated_kva = self.model.ratings_kva(data)
         kept_kva = np.maximum(self.model.headroom_kva(data), KEPT_SHARE * rated_kva)
         room = self.model.phase_kva(data, kept_kva)
         any_u = np.full_like(u, np.inf)
@@ -75,13 +76,21 @@ class PhasedLinearisation:
         the connection takes it and the highest voltage allows.
         """
         site, load_kw = self.model.site, data.all_cold().load_kw
-        own, spare = sun_used_and_left(site, data)
+        # What is behind a line that is out has its own balance.
+        own, spare = (
+            np.where(at_items(data.parts.beyond, site.pv_bus), 0.0, each)
+            for each in sun_used_and_left(site, data)
+        )
+        load_kw = np.where(at_items(data.parts.beyond, site.customer_bus), 0.0, load_kw)
+        drawn = data.drawn
+        assert drawn is not None
+        network_kw = data.loss_kw + np.where(data.parts.beyond, 0.0, drawn.kw).sum(axis=1)
         u, with_all = (
             data.require_phased().u_offset + self.model.linear(data, *self._with_sun(data, kw))[0]
             for kw in (own, own + spare)
         )
         room = np.where(self.model.limited, site.feeder.v_max_pu**2 - u, np.inf)
-        imported_kw = load_kw.sum(axis=1) - own.sum(axis=1) + data.network_kw
+        imported_kw = load_kw.sum(axis=1) - own.sum(axis=1) + network_kw
         share = share_exported(site, data, imported_kw, spare, with_all - u, room)
         return self._with_sun(data, own + share * spare)
 
@@ -91,7 +100,7 @@ class PhasedLinearisation:
         pv = (pv_kw, np.zeros_like(pv_kw))
         load_kw = data.all_cold().load_kw
         p, q = self.model.powers(self.model.sources(data), load_kw, pv, (idle, idle))
-        with_grid = ~data.dark[:, None]
+        with_grid = data.with_grid[:, self.model.at_bus_of_assets]
         return p * with_grid, q * with_grid
 
     def known(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
@@ -140,26 +149,27 @@ class PhasedLinearisation:
         u, former = self.model.offsets(data, p, q, points)
         currents = points.currents - self.model.currents(data, p, q)
         moved = share * steps[:, None]
-        at = np.arange(data.n_steps), data.require_physics().reference
-        kw, kvar = drawn.kw.copy(), drawn.kvar.copy()
-        kw[at] += moved[:, 0] * (points.network_kw - kw[at])
-        kvar[at] += moved[:, 0] * (points.network_kvar - kvar[at])
+        kw = drawn.kw + moved * (points.network_kw - drawn.kw)
+        kvar = drawn.kvar + moved * (points.network_kvar - drawn.kvar)
         found = replace(
             phased,
             u_offset=phased.u_offset + moved * (u - phased.u_offset),
             former_offset=phased.former_offset + moved * (former - phased.former_offset),
             current_offset=phased.current_offset + moved * (currents - phased.current_offset),
-            bound=self._binding(data, p, q) & steps[:, None, None],
+            bound=self._binding(data, p, q, steps),
             former_kva=np.where(steps[:, None], points.source_kva, phased.former_kva),
         )
         return self._with_own_limits(replace(data, phased=found, drawn=Drawn(kw, kvar)))
 
-    def _binding(self, data: WindowData, p: Floats, q: Floats) -> Flags:
-        """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
+    def _binding(self, data: WindowData, p: Floats, q: Floats, steps: Flags) -> Flags:
+        """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m).
+
+        Of these steps, (W,).
+        """
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         ways = [each.require_phased() for each in giving_way(self.model.site, data)]
         room = [np.abs([u - way.u_min, way.u_max - u]) for way in ways]
-        return binding(self.model, self.model.limited, np.min(room, axis=0))
+        return binding(self.model, self.model.limits_at(data, steps), np.min(room, axis=0))
 
     def _with_own_limits(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.
@@ -170,8 +180,8 @@ class PhasedLinearisation:
         phased = data.require_phased()
         net = self.model.site.feeder
         own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
-        given = np.full(data.n_steps, self.model.site.soft_voltages) | data.dark
-        own = np.where(given[:, None], np.maximum(own, COLLAPSED_PU2), np.nan)
+        given = self.model.site.soft_voltages | data.in_island[:, self.model.at_bus]
+        own = np.where(given, np.maximum(own, COLLAPSED_PU2), np.nan)
         low, high = np.fmin(net.v_min_pu**2, own), np.fmax(net.v_max_pu**2, own)
         return replace(data, phased=replace(phased, u_min=low, u_max=high))
 
@@ -190,13 +200,13 @@ class PhasedLinearisation:
         assert drawn is not None
         p, q = self.known(data, dispatch)
         off_pu = np.abs(self.v_pu(data, p, q) - np.sqrt(points.u_pu2))[lit].max()
-        off_kw = np.abs(points.network_kw - drawn.kw.sum(axis=1))[lit].max()
+        off_kw = np.abs(points.network_kw - drawn.kw)[lit].max()
         former: Complexes = phased.former_offset + self.model.linear(data, p, q)[1]
         held = loading_of_phases(self.model.site, data, p, q) <= 1.0
         over = (held & (np.abs(points.currents) > 1.0))[lit]
-        island = lit & data.dark
-        off_kva = np.abs(former - points.source_kva)[island].max(initial=0.0)
-        over_kva = np.abs(points.source_kva)[island] > self.model.phase_kva(data)[island, None]
+        formed = self.model.formed(data) & lit[:, None]
+        off_kva = np.abs(former - points.source_kva)[formed].max(initial=0.0)
+        over_kva = np.abs(points.source_kva)[formed] > self.model.phase_kva(data)[formed]
         return bool(
             off_pu <= VOLTAGE_TOLERANCE_PU
             and off_kw <= LOSS_TOLERANCE_KW

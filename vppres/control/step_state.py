@@ -21,6 +21,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
 from vppres.model.parts import Parts, parts_of
 from vppres.model.site import Site
+from vppres.scenario.formers import largest_forming_battery
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,8 @@ class StepState:
         Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
     parts : Parts
         Parts into which lines that are out cut the feeder, one step.
+    inside : array of bool, shape (N,), optional
+        Buses of the part that it is the step of; all if not given.
     taken_kw, running : dict
         Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
     """
@@ -76,6 +79,7 @@ class StepState:
     ahead: KindsAhead = field(default_factory=KindsAhead)
     dark: bool = False
     parts: Parts = field(kw_only=True)
+    inside: Flags | None = None
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
 
@@ -143,6 +147,15 @@ class StepState:
     def island(self) -> bool:
         """Whether the grid gives nothing."""
         return self.grid_limit_kw <= 0.0
+
+    @property
+    def forming_battery(self) -> int | None:
+        """The battery that holds an island, or the part that it is; None if none can."""
+        if self.parts.whole:
+            return largest_forming_battery(self.site)
+        able = self.parts.forms[0] & self.online
+        kva = np.where(able, self.site.batteries.s_max_kva, -1.0)
+        return int(np.argmax(kva)) if able.any() else None
 
     @cached_property
     def drawn_kw(self) -> Floats:

@@ -36,7 +36,6 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     InputError
         With every option, column and kind of asset that has no meaning there, and the cure.
     """
-    check_faults(scenario)
     problems = [*_phased(scenario, options)] or [
         *_cold(scenario, options),
         *_controller(scenario, options, grid),
@@ -46,19 +45,6 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     physics = parts("physics")
     for kind in units_of(scenario):
         physics[kind].check_prices(scenario, options.horizon_h, options.seed)
-
-
-def check_faults(scenario: Scenario) -> None:
-    """Refuse faults of lines and buses where plans do not know them.
-
-    Raises
-    ------
-    InputError
-        For a feeder with phases.
-    """
-    if scenario.faults and scenario.phases:
-        cure = f"Remove the file, or {BALANCED}."
-        raise InputError.of("faults.csv", NOT_STATED, cure)
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:

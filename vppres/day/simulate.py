@@ -468,18 +468,22 @@ def _planned_v_pu(ac: ACResult, decision: Decision) -> Floats:
 
 
 def _by_phase(done: Settled, held_by_batteries: bool) -> dict[str, Any]:
-    """Power of the source by phase, unbalance, and the fullest phase; NaN in a blackout."""
+    """Power of grid and former by phase, unbalance, and the fullest phase; NaN in a blackout."""
     ac = done.ac
     if not ac.phases:
         return {}
-    source = "former" if held_by_batteries else "import"
-    none = {f"{each}_{phase}_kva": np.nan for each in ("former", "import") for phase in ac.phases}
+    nothing = np.full(len(ac.phases), np.nan)
+    of_former = done.former_kva
+    if of_former is None:
+        of_former = ac.source_kva if held_by_batteries else nothing
+    sources = {"former": of_former, "import": nothing if held_by_batteries else ac.source_kva}
     found = {
         f"{source}_{phase}_kva": abs(kva)
-        for phase, kva in zip(ac.phases, ac.source_kva, strict=True)
+        for source, of_phases in sources.items()
+        for phase, kva in zip(ac.phases, of_phases, strict=True)
     }
     loading = {"loading_max": ac.loading, "loading_at": ac.loading_at}
-    return {"former": done.former, **none, **found, "unbalance_max": ac.unbalance, **loading}
+    return {"former": done.former, **found, "unbalance_max": ac.unbalance, **loading}
 
 
 def _of_power_flow(done: Settled, held_by_batteries: bool) -> dict[str, float]:

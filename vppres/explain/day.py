@@ -175,6 +175,11 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
     lines = np.array([f"{above} to {below}" for above, below in ends], dtype=object)
     if site.phases:
         lines = np.array(phased_model(site).rated, dtype=object)
+    supply = step.recorded.supply(step.t) if site.phases else None
+    of_former = [*PHASES] if site.phases else []
+    if supply is not None and len(supply.fed) > 1:
+        sources = [former or "the grid" for _, former in supply.fed]
+        of_former = [f"{phase} of {source}" for source in sources for phase in PHASES]
     b = site.batteries.id
     pv = site.pv.id
     return [
@@ -185,7 +190,7 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
         ("battery_discharging", "kW", b),
         ("battery_inverter", "kVA", b),
         ("pv_inverter", "kVA", pv),
-        ("former_phase", "kVA", np.array([*PHASES] if site.phases else [], dtype=object)),
+        ("former_phase", "kVA", np.array(of_former, dtype=object)),
         ("voltage_floor", "0.001 pu", buses),
         ("voltage_ceiling", "0.001 pu", buses),
         ("line_rating", "kVA", lines),

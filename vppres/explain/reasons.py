@@ -316,7 +316,7 @@ def _relieved_phase(step: Step, battery: int) -> int | None:
     if phases is None:
         return None
     asset = _asset_index(step, battery)
-    if asset == phased_model(step.site).devices[step.recorded.source(step.t)]:
+    if asset in phased_model(step.site).devices(step.recorded.source(step.t)):
         return None
     cost = phases.active[:, asset]
     return int(np.argmax(cost)) if cost.max() > WORTH else None

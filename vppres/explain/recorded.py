@@ -30,13 +30,15 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
+from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
-from vppres.model.phases import GRID, phased_model
+from vppres.model.parts import parts_of
+from vppres.model.phases import NOTHING_FORMS, Supply, phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
@@ -52,6 +54,10 @@ and curtailment may bind together with that of its service, and share the price 
 
 FULL_HORIZON = "full-horizon"
 PERFECT = "perfect"
+
+
+BY_PARTS = (FormerPhases, LinesOut)
+"""Additions that are compiled for the parts of a window."""
 
 
 class Recorded:
@@ -186,12 +192,13 @@ class Recorded:
         return tuple(there.items())
 
     def beyond_at(self, t: int) -> Beyond:
-        """Additions of the window at step ``t``: those of all, and the lines that are out in it."""
+        """Additions of the window at step ``t``: those of all, and those by its parts."""
         if not self.scenario.faults:
             return self.beyond
-        of_all = tuple(each for each in self.beyond if each[0] is not LinesOut)
-        shape = LinesOut.shape(self.site, self.seen(t))
-        return of_all if shape is None else (*of_all, (LinesOut, shape))
+        of_all = [each for each in self.beyond if each[0] not in BY_PARTS]
+        seen = self.seen(t)
+        own = ((each, each.shape(self.site, seen)) for each in BY_PARTS)
+        return (*of_all, *((each, shape) for each, shape in own if shape is not None))
 
     def _beyond_of(self, t: int) -> Beyond:
         seen = self.seen(t)
@@ -238,12 +245,21 @@ class Recorded:
         return self.trajectory.by_step("nodes", "v_ac_pu")
 
     def source(self, t: int) -> int:
-        """Source of a step of a phased feeder: the grid, or what formed its island."""
-        island = np.array(self.scenario.outage[t])
-        return int(phased_model(self.site).sources_of(island, self.trajectory.forms(t)))
+        """Supply of a step of a phased feeder: the grid, or what formed islands."""
+        model, island = phased_model(self.site), self.scenario.outage[t : t + 1]
+        out = self.scenario.out_of_service(range(t, t + 1))
+        parts = parts_of(self.site, out, self.soc_start[t], island, needs_former=True)
+        if not parts.whole:
+            return model.source_in(parts, bool(island[0]))
+        return int(model.sources_of(island[0], self.trajectory.forms(t)))
+
+    def supply(self, t: int) -> Supply | None:
+        """The supply itself; None where nothing held a voltage."""
+        source = self.source(t)
+        return None if source == NOTHING_FORMS else phased_model(self.site).supplies[source]
 
     def former_kva(self, t: int) -> Complexes:
-        """Complex power of the former on each phase in a step of an island, (3,)."""
+        """Complex power of its sources on each phase in a step with power, (K,)."""
         (p,), (q,) = self.drawn(t)
         found = phased_model(self.site).solved(self.source(t), p, q)
         assert found is not None
@@ -253,21 +269,19 @@ class Recorded:
         """Currents of a phased feeder in a step as shares of their ratings, (k,)."""
         model = phased_model(self.site)
         nothing = np.zeros(len(model.rated), dtype=complex)
-        if not np.isfinite(self.v_ac_pu[t]).all():
+        if not np.isfinite(self.v_ac_pu[t]).any():
             return nothing
         (p,), (q,) = self.drawn(t)
         source = self.source(t)
         found = model.solved(source, p, q)
-        return nothing if found is None else model.loadings[source].currents(found.v)
+        return nothing if found is None else model.supplies[source].loadings.currents(found.v)
 
     def drawn(self, t: int) -> tuple[Floats, Floats]:
-        """Power of a phased feeder's assets in a step, (1, D) each, the former's own left out."""
+        """Power of a phased feeder's assets in a step, (1, D) each, the formers' own left out."""
         order = ("customers", "pv", "batteries", *self.site.kinds)
         p, q = (-np.concatenate([each[name] for name in order])[None, :] for each in self._given(t))
-        source = self.source(t)
-        if source > GRID:
-            device = phased_model(self.site).devices[source]
-            p[0, device] = q[0, device] = 0.0
+        formers = phased_model(self.site).devices(self.source(t))
+        p[0, formers] = q[0, formers] = 0.0
         return p, q
 
     def _by_phase(self, t: int, seen: WindowData) -> WindowData:
@@ -279,7 +293,7 @@ class Recorded:
         data = at.at_rest(replace(seen, physics=physics))
         p, q = (np.pad(one, [(0, data.n_steps - 1), (0, 0)]) for one in self.drawn(t))
         first = (np.arange(data.n_steps) == 0) & (at.model.sources(data) == self.source(t))
-        first &= np.isfinite(self.v_ac_pu[t]).all()
+        first &= np.isfinite(self.v_ac_pu[t]).any()
         points = at.model.points(data, p, q, first)
         found = at.at(data, p, q, points, first & points.converged)
         return with_ratings(self.site, found) if self.site.rated else found

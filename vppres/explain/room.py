@@ -78,7 +78,7 @@ def _overloaded_current(step: Step, customer: int) -> int | None:
     model = phased_model(step.site)
     if step.dark or not model.rated:
         return None
-    slopes = model.slopes[step.recorded.source(step.t)]
+    slopes = model.supplies[step.recorded.source(step.t)].slopes
     kw, kvar = _demand(step, customer)
     now = step.recorded.currents(step.t)
     more = now + slopes.currents(*_alone(slopes, customer, kw, kvar))[0]
@@ -94,14 +94,17 @@ def _alone(slopes: Slopes, customer: int, kw: float, kvar: float) -> tuple[Float
 def overloaded_phase(step: Step, customer: int) -> int | None:
     """The former's phase that all demand of a customer would take furthest beyond its room."""
     phased = step.levels.window.phased
-    if phased is None or not step.outage or step.dark:
+    if phased is None or step.dark:
         return None
-    model = phased_model(step.site)
-    slopes = model.slopes[step.recorded.source(step.t)]
+    supply = step.recorded.supply(step.t)
+    if supply is None or not supply.forms.any():
+        return None
+    slopes = supply.slopes
     kw, kvar = _demand(step, customer)
     now = step.recorded.former_kva(step.t)
     more = now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar
-    return _furthest(now, more, phased.room_kva[0])
+    room_kva = phased.room_kva[0, : len(supply.forms)]
+    return _furthest(now, more, np.where(supply.forms, room_kva, np.inf))
 
 
 def _furthest(now: Complexes, more: Complexes, most: Floats) -> int | None:
@@ -147,7 +150,7 @@ def _under_voltage(step: Step, customer: int) -> bool:
 def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool:
     """Whether a node of a phased feeder would fall below its least voltage."""
     model = phased_model(step.site)
-    slopes = model.slopes[step.recorded.source(step.t)]
+    slopes = model.supplies[step.recorded.source(step.t)].slopes
     kw, kvar = _demand(step, customer)
     change = slopes.changes(*_alone(slopes, customer, kw, kvar))[0][0]
     after = step.recorded.v_node_pu[step.t] ** 2 + change

@@ -294,7 +294,7 @@ class Step:
 
     @cached_property
     def phase_cost(self) -> Floats:
-        """Part of the former's phases in the cost of each customer, (3, C); 0 without phases."""
+        """Part of the formers' phases in the cost of each customer, (K, C); 0 without phases."""
         phases = None if self.service is None else self.service.phases
         if phases is None:
             return np.zeros((3, len(self.load_kw)))
@@ -341,7 +341,7 @@ class Step:
         """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
         model = phased_model(self.site)
         at = buses_of(self.site) == bus
-        slopes = model.slopes[max(self.recorded.source(self.t), GRID)]
+        slopes = model.supplies[max(self.recorded.source(self.t), GRID)].slopes
         each = np.eye(len(at))[at]
         through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.rated_kva
         return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)

@@ -12,7 +12,7 @@ from vppres.core.units import h_to_minutes
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.kinds.table import KINDS
-from vppres.model.phases import GRID, phased_model
+from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
@@ -138,10 +138,11 @@ def line_name(step: Step, line: int) -> str:
 
 
 def phase_name(step: Step, phase: int) -> str:
-    """A phase of the device that holds the island."""
-    source = step.recorded.source(step.t)
-    name = phased_model(step.site).formers[source - 1] if source > GRID else "the grid"
-    return f"phase {PHASES[phase]} of {name}"
+    """A phase of the device that holds an island."""
+    supply = step.recorded.supply(step.t)
+    source, own = divmod(phase, len(PHASES))
+    name = "" if supply is None else supply.fed[source][1]
+    return f"phase {PHASES[own]} of {name or 'the grid'}"
 
 
 def service_words(step: Step, value: float, kwh: float = 1.0) -> str:

@@ -38,11 +38,11 @@ class ByPhase:
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
         """Power flow of a step that was decided; None without phases, and without power."""
-        if not scenario.phases or np.isnan(step.nodes["v_ac_pu"]).any():
+        if not scenario.phases or np.isnan(step.nodes["v_ac_pu"]).all():
             return None
         labels = [step.nodes["bus"], step.nodes["phase"]]
         index = pd.MultiIndex.from_arrays(labels, names=["bus", "phase"])
-        nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu")
+        nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu").dropna()
         former = str(step.steps["former"])
         column = "former" if former else "import"
         kva = pd.Series({phase: float(step.steps[f"{column}_{phase}_kva"]) for phase in PHASES})

@@ -15,7 +15,6 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
-from vppres.day.checks import check_faults
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
@@ -244,7 +243,7 @@ class Controller:
         Raises
         ------
         InputError
-            For a line or bus that is not there, and on feeders with phases.
+            For a line or bus that is not there.
 
         Examples
         --------
@@ -259,9 +258,7 @@ class Controller:
         """
         with self._turn:
             before = () if replacing else self.scenario.faults
-            found = replace(self.scenario, faults=(*before, *faults))
-            check_faults(found)
-            self.scenario = found
+            self.scenario = replace(self.scenario, faults=(*before, *faults))
 
     def out_probability(self, time: Any) -> pd.Series:
         """Probability of an outage in each step from a time on, at most 48 h ahead.

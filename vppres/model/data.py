@@ -65,13 +65,14 @@ class PhasedWindow:
     """Linearisation of a window of W steps on a phased feeder; m voltages have limits."""
 
     u_offset: Floats  #: squared voltages with nothing drawn that meet the AC points, (W, m)
-    former_offset: Complexes  #: the same of the former's power by phase in kVA, (W, 3)
+    #: The same of the sources' power by phase in kVA, one source after another, (W, K).
+    former_offset: Complexes
     #: Limits, (W, m).
     u_min: Floats
     u_max: Floats
-    room_kva: Floats  #: what each phase of the former may carry in steps without grid, (W,)
+    room_kva: Floats  #: what each phase of a former may carry, (W, K)
     bound: Flags  #: lower and upper limits that bound the last candidate, (W, 2, m)
-    former_kva: Complexes  #: the former's power by phase at the AC points, (W, 3)
+    former_kva: Complexes  #: the sources' power by phase at the AC points, (W, K)
     #: Currents that have a rating, as shares of it, with nothing drawn that meet the AC points, (W,
     #: k).
     current_offset: Complexes

@@ -89,10 +89,11 @@ def parts_of(
         Steps without grid.
     needs_former : bool
         Whether the part with the grid's bus needs a former in these steps too, and only batteries
-        are planned to be one, as in physical mode.
+        are planned to be one, as in physical mode and with phases.
     """
     if not out.lines.any():
         return Parts.one(site.network, len(soc), len(island))
+    needs_former = needs_former or bool(site.phases)
     part = parts_by_bus(site.network, out.lines)
     grid = (part == 0) & ~island[:, None]
     reference = np.where((part == 0) & ~(island[:, None] & needs_former), 0, -1)

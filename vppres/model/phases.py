@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -21,20 +21,24 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.units import W_PER_KW
 from vppres.model.data import WindowData
+from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
+    Fed,
     assets_of,
+    buses_of,
     flow_of_former,
     flow_of_grid,
+    flow_of_parts,
     measured_at,
 )
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
-from vppres.scenario.formers import former_kva, island_formers, largest_forming_battery
+from vppres.scenario.formers import former_kva, island_formers
 from vppres.scenario.phases import PHASES
 
 GRID, NOTHING_FORMS = 0, -1
-"""Sources of a step beside the formers of islands, of which the first is 1."""
+"""Supplies of a step beside those of the formers of islands, of which the first is 1."""
 
 SIDES = 32
 """Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
@@ -61,7 +65,7 @@ class Slopes:
     Attributes
     ----------
     former_p, former_q : array, shape (3, D)
-        Complex power of the source's phases.
+        Complex power of the source's phases, of several sources one after another.
     u_0, former_0, current_0 : array
         Squared voltages, (m,), the source's power, (3,), and currents, (k,), at no load.
     """
@@ -70,14 +74,14 @@ class Slopes:
         self._flow = flow
         self._per_volt = loadings.per_volt
         w = flow.no_load_v
-        self._across = flow.coils @ w
+        self._across = flow.no_load_u
         ratio = np.abs(self._across) / flow.rated_v
         # Load models at the voltages there.
         self._p = _by_asset(flow, ratio**flow.p_exponent)
         self._q = _by_asset(flow, ratio**flow.q_exponent)
         self._measured = flow.measured[1]
         self._at = self._measured @ w
-        self.u_0 = np.abs(self._at) ** 2
+        self.u_0 = np.where(flow.measured_lit, np.abs(self._at), 1.0) ** 2
         self.former_0 = flow.v_held * np.conj((flow.y @ w)[flow.held]) / W_PER_KW
         self.current_0 = loadings.currents(w)
         currents = flow.coils.T[flow.held] - flow.taken_at(flow.y[flow.held])
@@ -142,12 +146,55 @@ def _by_asset(flow: PhasedFlow, factor: Floats) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class PhasedPoints:
-    """AC points of W steps: squared voltages (W, m), source's kVA (W, 3), what the network draws.
+class Supply:
+    """A feeder and what holds its voltages: the grid or a former, of each part that has one.
 
-    ``currents`` are shares of their ratings, (W, k).
-    ``network_kw`` and ``network_kvar`` are the source's power beyond what assets draw at rated
-    voltage: losses, capacitors, and loads that follow the voltage.
+    ``ratings_kva`` (S,) are those of formers, 0 of the grid; ``devices`` are the places of formers
+    among the assets, and ``buses`` (S,) those of the sources among the buses.
+    """
+
+    fed: Fed
+    flow: PhasedFlow
+    loadings: Loadings
+    ratings_kva: Floats
+    devices: Wholes
+    buses: Wholes
+
+    @classmethod
+    def of(cls, site: Site, fed: Fed, flow: PhasedFlow, loadings: Loadings) -> Supply:
+        """The supply of a site from some sources."""
+        names, at = assets_of(site), buses_of(site)
+        devices = [names.index(former) for _, former in fed if former]
+        buses = [at[names.index(former)] if former else site.network.buses[0] for _, former in fed]
+        ratings = [former_kva(site, former) if former else 0.0 for _, former in fed]
+        places = np.array([site.network.bus_index[bus] for bus in buses], dtype=int)
+        of_formers = np.array(devices, dtype=int)
+        return cls(fed, flow, loadings, np.array(ratings, dtype=float), of_formers, places)
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """How its voltages and sources follow powers."""
+        return Slopes(self.flow, self.loadings)
+
+    @property
+    def forms(self) -> Flags:
+        """Phases of its sources that are those of a former, (K,)."""
+        return np.repeat([bool(former) for _, former in self.fed], len(PHASES))
+
+    def beyond(self, found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Floats]:
+        """Power of each source beyond what its assets draw at rated voltage, (S,) each."""
+        found_kva = found.source_kva.reshape(-1, len(PHASES)).sum(axis=1)
+        kw, kvar = ([each[own].sum() for own in self.flow.supplied] for each in (p_kw, q_kvar))
+        return found_kva.real - kw, found_kva.imag - kvar
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedPoints:
+    """AC points of W steps: squared voltages (W, m), sources' kVA (W, K), what the network draws.
+
+    ``currents`` are shares of their ratings, (W, k). ``network_kw`` and ``network_kvar`` are, at
+    the bus of each source, its power beyond what assets draw at rated voltage, (W, N): losses,
+    capacitors, and loads that follow the voltage.
     """
 
     u_pu2: Floats
@@ -162,15 +209,14 @@ class PhasedPoints:
 class PhasedModel:
     """A site's three phases, with the grid as source and with each former of its islands.
 
-    ``flows`` and ``slopes`` are those of the grid, then of the ``formers``: the battery that forms
-    islands, then units of kinds. ``loadings`` are of the currents that plans limit,
-    for each source.
+    ``supplies`` are those of the grid, then of the ``formers``: the battery that forms islands,
+    then units of kinds. Behind them are those of parts, as lines were out.
     """
 
     site: Site
-    flows: tuple[PhasedFlow, ...]
     formers: tuple[str, ...]
-    loadings: tuple[Loadings, ...]
+    supplies: list[Supply]
+    _of_parts: dict[tuple[bytes, Fed], int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, site: Site) -> PhasedModel:
@@ -183,40 +229,41 @@ class PhasedModel:
         grid = flow_of_grid(phases, names, net.v_slack_pu)
         flows = (grid, *(flow_of_former(phases, names, former, *voltages) for former in formers))
         of = Loadings.of if site.rated else Loadings.none
-        return cls(site, flows, formers, tuple(of(flow.phases) for flow in flows))
+        supplies = [
+            Supply.of(site, ((0, former),), flow, of(flow.phases))
+            for former, flow in zip(("", *formers), flows, strict=True)
+        ]
+        return cls(site, formers, supplies)
 
-    @cached_property
-    def slopes(self) -> tuple[Slopes, ...]:
-        """Slopes of each source."""
-        return tuple(map(Slopes, self.flows, self.loadings))
+    @property
+    def flows(self) -> list[PhasedFlow]:
+        """Power flows of each supply."""
+        return [each.flow for each in self.supplies]
+
+    @property
+    def slopes(self) -> list[Slopes]:
+        """Slopes of each supply."""
+        return [each.slopes for each in self.supplies]
 
     @property
     def rated(self) -> tuple[str, ...]:
         """Names of the currents that plans limit."""
-        return self.loadings[GRID].names
+        return self.supplies[GRID].loadings.names
 
     @property
     def rated_kva(self) -> Floats:
         """Power that each of them carries at its rating, (k,)."""
-        return self.loadings[GRID].kva
-
-    @cached_property
-    def devices(self) -> Wholes:
-        """Place of each source among the assets; that of the grid is none of them, -1."""
-        names = assets_of(self.site)
-        return np.array([-1, *map(names.index, self.formers)], dtype=int)
-
-    @cached_property
-    def _ratings_kva(self) -> Floats:
-        """Rating of each source, of the grid and of nothing none."""
-        return np.array([0.0, *(former_kva(self.site, name) for name in self.formers), 0.0])
+        return self.supplies[GRID].loadings.kva
 
     def sources(self, data: WindowData) -> Wholes:
-        """Source of each step of a window, (W,)."""
-        return self.sources_of(data.dark, data.ahead.formers())
+        """Supply of each step of a window, (W,)."""
+        found = self.sources_of(data.dark, data.ahead.formers())
+        for t in np.flatnonzero(data.parts.cut):
+            found[t] = self.source_in(data.parts.steps(slice(t, t + 1)), bool(data.dark[t]))
+        return found
 
     def sources_of(self, island: Flags, forms: Mapping[str, Flags]) -> Wholes:
-        """Sources of steps, (...,), with units of kinds that form islands, (..., n).
+        """Supplies of steps, (...,), with units of kinds that form islands, (..., n).
 
         Where none does it is the first of the formers.
         """
@@ -229,48 +276,128 @@ class PhasedModel:
                 source = np.where(there, 1 + self.formers.index(name), source)
         return source
 
-    def ratings_kva(self, sources: Wholes) -> Floats:
-        """Rating of the source of each step, (...,)."""
-        return np.asarray(self._ratings_kva[sources])
+    def source_in(self, parts: Parts, island: bool, which: Flags | None = None) -> int:
+        """Supply of a step in which lines are out.
+
+        Parameters
+        ----------
+        parts : Parts
+            Its parts, one step.
+        island : bool
+            Whether the grid is away.
+        which : array of bool, shape (N,), optional
+            Buses of the parts that have a source; all that something forms if not given.
+        """
+        b, index = self.site.batteries, self.site.network.bus_index
+        at = np.array([index[bus] for bus in b.bus], dtype=int)
+        numbers, lit = parts.of_bus[0], ~parts.dead[0]
+        lit = lit if which is None else lit & which
+        forms = parts.forms[0] & lit[at]
+        fed = [] if island or not lit[0] else [(0, "")]
+        for number in np.unique(numbers[at[forms]]).tolist():
+            kva = np.where(forms & (numbers[at] == number), b.s_max_kva, -1.0)
+            fed.append((number, str(b.id[np.argmax(kva)])))
+        return self.supplied(numbers, tuple(fed))
+
+    def supplied(self, numbers: Wholes, fed: Fed) -> int:
+        """Supply of parts by the number of each bus, (N,), made once."""
+        if not fed:
+            return NOTHING_FORMS
+        numbers = np.asarray(numbers, dtype=np.int64)
+        key = numbers.tobytes(), fed
+        if key not in self._of_parts:
+            site, net, phases = self.site, self.site.feeder, self.site.phases
+            of_bus = {row.bus: int(numbers[net.bus_index[row.at]]) for row in phases.buses}
+            voltages = (net.v_slack_pu, net.v_min_pu, net.v_max_pu)
+            flow = flow_of_parts(phases, assets_of(site), of_bus, fed, voltages)
+            loadings = self.supplies[GRID].loadings.in_parts(phases, flow.phases)
+            self._of_parts[key] = len(self.supplies)
+            self.supplies.append(Supply.of(site, fed, flow, loadings))
+        return self._of_parts[key]
+
+    def parts_in(self, data: WindowData) -> list[tuple[bytes, Fed]]:
+        """Supplies of parts in a window, by what :meth:`supplied` makes them of."""
+        there = set(self.sources(data).tolist())
+        return sorted(key for key, source in self._of_parts.items() if source in there)
+
+    def _width(self, sources: Wholes) -> int:
+        """Sources of the step of a window that has the most."""
+        return max([1, *(len(self.supplies[i].fed) for i in np.unique(sources) if i > GRID)])
+
+    def _each(self, sources: Wholes) -> Iterator[tuple[Supply, Flags]]:
+        """Supplies of a window that hold any voltage, and the steps of each, (W,)."""
+        for source in np.unique(sources):
+            if source != NOTHING_FORMS:
+                yield self.supplies[source], sources == source
+
+    def ratings_kva(self, data: WindowData) -> Floats:
+        """Rating of each source in each step, (W, S), of the grid and of nothing none."""
+        sources = self.sources(data)
+        found = np.zeros((data.n_steps, self._width(sources)))
+        for supply, steps in self._each(sources):
+            found[steps, : len(supply.fed)] = supply.ratings_kva
+        return found
 
     def headroom_kva(self, data: WindowData) -> Floats:
-        """Power that a plan leaves free of the former of each step, (W,)."""
+        """Power that a plan leaves free of each former in each step, (W, S)."""
         sources = self.sources(data)
-        nothing = np.zeros(data.n_steps)
+        found = np.zeros((data.n_steps, self._width(sources)))
         of_units = (known.kept_kw().sum(axis=1) for known in data.ahead.by_kind.values())
-        kept = sum(of_units, start=nothing)
-        battery = largest_forming_battery(self.site)
-        if battery is None:
-            return kept
-        of_battery = data.require_physics().headroom_kw[:, battery]
-        return np.asarray(np.where(sources == 1, of_battery, kept))
+        found[:, 0] = sum(of_units, start=found[:, 0])
+        place = {str(name): i for i, name in enumerate(self.site.batteries.id)}
+        headroom_kw = data.require_physics().headroom_kw
+        for supply, steps in self._each(sources):
+            for at, (_, former) in enumerate(supply.fed):
+                if former in place:
+                    found[steps, at] = headroom_kw[steps, place[former]]
+        return found
+
+    def formed(self, data: WindowData) -> Flags:
+        """Phases of sources in islands, (W, K): those of formers."""
+        sources = self.sources(data)
+        found = np.zeros((data.n_steps, len(PHASES) * self._width(sources)), dtype=bool)
+        found[:, : len(PHASES)] = (data.dark & ~data.parts.cut)[:, None]
+        for t in np.flatnonzero(data.parts.cut & (sources != NOTHING_FORMS)):
+            forms = self.supplies[sources[t]].forms
+            found[t, : len(forms)] = forms
+        return found
+
+    def limits_at(self, data: WindowData, lit: Flags) -> Flags:
+        """Voltages that plans keep within limits in steps with power, (W, m): of parts with any."""
+        return np.asarray(self.limited & lit[:, None] & ~data.parts.dead[:, self.at_bus])
 
     @property
     def n_measured(self) -> int:
         """Voltages that have limits."""
-        return len(self.flows[0].measured[0])
+        return len(self.supplies[GRID].flow.measured[0])
 
     def nothing(self, n_steps: int) -> Floats:
         """Power of all assets at rest, (W, D)."""
-        return np.zeros((n_steps, len(self.flows[GRID].assets)))
+        return np.zeros((n_steps, len(self.supplies[GRID].flow.assets)))
 
     @cached_property
     def limited(self) -> Flags:
         """Voltages that plans keep within limits: all but those of the grid's own bus."""
-        labels = self.flows[0].measured[0]
-        slack = self.flows[0].phases.buses[0].bus
+        grid = self.supplies[GRID].flow
+        labels, slack = grid.measured[0], grid.phases.buses[0].bus
         return np.array([bus != slack for bus, _ in labels])
 
     @cached_property
     def by_phase(self) -> tuple[Wholes, ...]:
         """Places of the voltages of each phase, or of each pair of phases."""
-        names = np.array([phase for _, phase in self.flows[0].measured[0]])
+        names = np.array([phase for _, phase in self.supplies[GRID].flow.measured[0]])
         return tuple(np.flatnonzero(names == name) for name in np.unique(names))
 
     @cached_property
     def at_bus(self) -> Wholes:
         """Bus of the network at which each voltage is measured, (m,)."""
-        return measured_at(self.flows[0].phases, self.site.network)
+        return measured_at(self.site.phases, self.site.network)
+
+    @cached_property
+    def at_bus_of_assets(self) -> Wholes:
+        """Bus of the network of each asset, (D,)."""
+        index = self.site.network.bus_index
+        return np.array([index[bus] for bus in buses_of(self.site)], dtype=int)
 
     # Set-points.
 
@@ -308,24 +435,29 @@ class PhasedModel:
         given = [given_kvar.get(kind, none) for kind, none in nothing.items()]
         p = np.concatenate([load_kw, -pv[0], -batteries[0], *taken], axis=-1)
         q = np.concatenate([q_kvar, -pv[1], -batteries[1], *(-each for each in given)], axis=-1)
-        for place, device in enumerate(self.devices[1:], start=1):
-            p[..., device] = np.where(source == place, 0.0, p[..., device])
-            q[..., device] = np.where(source == place, 0.0, q[..., device])
+        for one in np.unique(source):
+            for device in self.devices(int(one)):
+                p[..., device] = np.where(source == one, 0.0, p[..., device])
+                q[..., device] = np.where(source == one, 0.0, q[..., device])
         return p, q
+
+    def devices(self, source: int) -> Wholes:
+        """Places of a supply's formers among the assets."""
+        return self.supplies[max(source, GRID)].devices
 
     def solved(self, source: int, p_kw: Floats, q_kvar: Floats) -> PhasedResult | None:
         """The flow of one step; None for an island that nothing holds."""
-        return None if source == NOTHING_FORMS else self.flows[source].solve(p_kw, q_kvar)
+        return None if source == NOTHING_FORMS else self.supplies[source].flow.solve(p_kw, q_kvar)
 
     def points(self, data: WindowData, p_kw: Floats, q_kvar: Floats, lit: Flags) -> PhasedPoints:
         """AC points of powers that assets draw, step by step; those that are not lit rest."""
         W, m = data.n_steps, self.n_measured
-        u = np.ones((W, m))
-        kva: Complexes = np.zeros((W, 3), dtype=complex)
-        currents: Complexes = np.zeros((W, len(self.rated)), dtype=complex)
-        network = np.zeros((W, 2))
-        converged = np.ones(W, dtype=bool)
         sources = self.sources(data)
+        u = np.ones((W, m))
+        kva: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
+        currents: Complexes = np.zeros((W, len(self.rated)), dtype=complex)
+        network = np.zeros((2, W, self.site.network.n_buses))
+        converged = np.ones(W, dtype=bool)
         for t in np.flatnonzero(lit):
             source = int(sources[t])
             try:
@@ -334,63 +466,53 @@ class PhasedModel:
                 converged[t] = False
                 continue
             if found is not None:
-                u[t] = self.flows[source].v_pu(found.v) ** 2
-                kva[t] = found.source_kva
-                currents[t] = self.loadings[source].currents(found.v)
-                network[t] = beyond(found, p_kw[t], q_kvar[t])
-        return PhasedPoints(u, kva, currents, network[:, 0], network[:, 1], converged)
+                supply = self.supplies[source]
+                u[t] = supply.flow.v_pu(found.v) ** 2
+                kva[t, : len(found.source_kva)] = found.source_kva
+                currents[t] = supply.loadings.currents(found.v)
+                network[:, t, supply.buses] = supply.beyond(found, p_kw[t], q_kvar[t])
+        return PhasedPoints(u, kva, currents, network[0], network[1], converged)
 
     def offsets(
         self, data: WindowData, p_kw: Floats, q_kvar: Floats, points: PhasedPoints
     ) -> tuple[Floats, Complexes]:
-        """Offsets that make the linear model meet the AC points: (W, m) and (W, 3)."""
+        """Offsets that make the linear model meet the AC points: (W, m) and (W, K)."""
         u, former = self.linear(data, p_kw, q_kvar)
         return points.u_pu2 - u, points.source_kva - former
 
     def linear(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
-        """Change of squared voltages (W, m) and of the source's complex power (W, 3) by powers."""
-        W = data.n_steps
+        """Change of squared voltages (W, m) and of the sources' complex power (W, K) by powers."""
+        W, sources = data.n_steps, self.sources(data)
         u = np.zeros((W, self.n_measured))
-        former: Complexes = np.zeros((W, 3), dtype=complex)
-        for slopes, steps in self._by_source(data):
-            u[steps], former[steps] = slopes.changes(p_kw[steps], q_kvar[steps])
+        former: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
+        for supply, steps in self._each(sources):
+            own = slice(len(supply.forms))
+            u[steps], former[steps, own] = supply.slopes.changes(p_kw[steps], q_kvar[steps])
         return u, former
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
         """Change of the rated currents by powers, as shares of the rating, (W, k)."""
         found: Complexes = np.zeros((data.n_steps, len(self.rated)), dtype=complex)
-        for slopes, steps in self._by_source(data):
-            found[steps] = slopes.currents(p_kw[steps], q_kvar[steps])
+        for supply, steps in self._each(self.sources(data)):
+            found[steps] = supply.slopes.currents(p_kw[steps], q_kvar[steps])
         return found
 
-    def _by_source(self, data: WindowData) -> Iterator[tuple[Slopes, Flags]]:
-        """Slopes of each source that there is, and its steps, (W,)."""
-        sources = self.sources(data)
-        for source, slopes in enumerate(self.slopes):
-            if (sources == source).any():
-                yield slopes, sources == source
-
     def at_no_load(self, data: WindowData) -> tuple[Floats, Complexes, Complexes]:
-        """Offsets at no load, (W, m), (W, 3) and (W, k)."""
-        W = data.n_steps
-        u = np.tile(self.slopes[GRID].u_0, (W, 1))
-        former = np.zeros((W, 3), dtype=complex)
-        currents = np.tile(self.slopes[GRID].current_0, (W, 1))
-        for slopes, steps in self._by_source(data):
+        """Offsets at no load, (W, m), (W, K) and (W, k)."""
+        W, sources = data.n_steps, self.sources(data)
+        grid = self.supplies[GRID].slopes
+        u, currents = np.tile(grid.u_0, (W, 1)), np.tile(grid.current_0, (W, 1))
+        former: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
+        for supply, steps in self._each(sources):
+            slopes = supply.slopes
             u[steps], currents[steps] = slopes.u_0, slopes.current_0
-            former[steps] = np.where(data.dark[steps, None], slopes.former_0, 0.0)
+            former[steps, : len(supply.forms)] = np.where(supply.forms, slopes.former_0, 0.0)
         return u, former, currents
 
     def phase_kva(self, data: WindowData, kept_kva: Floats | float = 0.0) -> Floats:
-        """Rating of each phase of the former in each step, (W,), less what is kept free."""
-        rating_kva = self.ratings_kva(self.sources(data))
-        return np.asarray((rating_kva - kept_kva) / len(PHASES))
-
-
-def beyond(found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[float, float]:
-    """Source's power beyond what assets draw at rated voltage."""
-    total = found.source_kva.sum()
-    return float(total.real - p_kw.sum()), float(total.imag - q_kvar.sum())
+        """Rating of each phase of the formers in each step, (W, K), less what is kept free."""
+        rating_kva = self.ratings_kva(data)
+        return np.repeat((rating_kva - kept_kva) / len(PHASES), len(PHASES), axis=1)
 
 
 _KNOWN: OrderedDict[str, PhasedModel] = OrderedDict()

@@ -266,12 +266,14 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     u, former = model.linear(data, p_kw, q_kvar)
     u = phased.u_offset + u
     currents = np.abs(phased.current_offset + model.currents(data, p_kw, q_kvar))
-    limited = model.limited
-    over_kva = np.abs(phased.former_offset + former).max(axis=1) - phased.room_kva
+    every = np.ones(data.n_steps, dtype=bool)
+    limited = model.limits_at(data, every)
+    over_kva = np.abs(phased.former_offset + former) - phased.room_kva
+    over_kva = over_kva[model.formed(data)]
     return {
-        "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, limited]),
-        "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, limited]),
-        "phase of the former": _most(power_tolerance_kw(site, data), over_kva[data.dark]),
+        "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[limited]),
+        "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[limited]),
+        "phase of the former": _most(power_tolerance_kw(site, data), over_kva),
         "rating of a phase": _most(RATING_TOLERANCE, currents - phased.current_max),
     }
 

@@ -12,14 +12,14 @@ from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     assets_of,
     farthest,
-    flow_of_former,
-    flow_of_grid,
+    flow_of_parts,
     labels_by_source,
     measured_at,
 )
 from vppres.physics.phases import PhasedFlow, PhasedResult
 from vppres.physics.places import Places
 from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.scenario.network import Network
 from vppres.scenario.phases import PHASES, Phases
 from vppres.scenario.scenario import Scenario
 
@@ -36,10 +36,15 @@ class FlowByPhase:
         Its network as a tree of buses, and its devices.
     phases : Phases
         Its phases.
+    buses : array of bool, shape (N,), optional
+        Buses of a part of the feeder, beyond which nothing draws or gives; all if not given.
     """
 
-    def __init__(self, scenario: Scenario, phases: Phases) -> None:
+    def __init__(self, scenario: Scenario, phases: Phases, buses: Flags | None = None) -> None:
         self._scenario = scenario
+        self._buses = np.ones(scenario.network.n_buses, dtype=bool) if buses is None else buses
+        at = scenario.network.bus_index
+        self._of_bus = {row.bus: int(self._buses[at[row.at]]) for row in phases.buses}
         self._phases = phases
         self._network = scenario.network
         self._assets = assets_of(scenario)
@@ -77,7 +82,8 @@ class FlowByPhase:
             If there is no solution.
         """
         flow = self._source(reference)
-        p, q = -np.asarray(p_kw, float), -np.asarray(q_kvar, float)
+        inside = self._buses[self._places.bus]
+        p, q = (np.where(inside, -np.asarray(each, float), 0.0) for each in (p_kw, q_kvar))
         own = -complex(p[reference], q[reference])
         p[reference] = q[reference] = 0.0
         if reference not in self._loadings:
@@ -102,12 +108,11 @@ class FlowByPhase:
     def _source(self, reference: int) -> PhasedFlow:
         """The flow whose source is the device at a place, or the grid."""
         if reference not in self._sources:
-            net, phases, assets = self._network, self._phases, self._assets
+            net, assets = self._network, self._assets
             voltages = net.v_slack_pu, net.v_min_pu, net.v_max_pu
-            self._sources[reference] = (
-                flow_of_former(phases, assets, assets[reference - 1], *voltages)
-                if reference
-                else flow_of_grid(phases, assets, net.v_slack_pu)
+            former = assets[reference - 1] if reference else ""
+            self._sources[reference] = flow_of_parts(
+                self._phases, assets, self._of_bus, ((1, former),), voltages
             )
         return self._sources[reference]
 
@@ -146,6 +151,28 @@ class FlowByPhase:
         )
 
 
+class FlowOfPart(ACPowerFlow):
+    """Power flow of a part of a balanced feeder.
+
+    Parameters
+    ----------
+    network : Network
+        The feeder.
+    buses, lines : array of bool, shape (N,), (L,)
+        Those of the part.
+    """
+
+    def __init__(self, network: Network, buses: Flags, lines: Flags) -> None:
+        super().__init__(network.drawing_inside(buses, lines))
+        self.buses = buses
+        self.lines = lines
+
+    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
+        """Power flow of the injections inside the part."""
+        p, q = (np.where(self.buses, np.asarray(each, float), 0.0) for each in (p_kw, q_kvar))
+        return super().solve(p, q, reference)
+
+
 PowerFlow = ACPowerFlow | FlowByPhase
 """AC power flow for powers at a feeder's places (:class:`vppres.physics.places.Places`)."""
 
@@ -162,3 +189,22 @@ def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
         return by_phase, by_phase if islanded is phases else FlowByPhase(scenario, islanded)
     balanced = ACPowerFlow(net)
     return balanced, balanced if net.islanded is net else ACPowerFlow(net.islanded)
+
+
+def flow_of_part(scenario: Scenario, buses: Flags, lines: Flags, island: bool) -> PowerFlow:
+    """Power flow of a part: of the whole feeder, where nothing outside the part draws or gives.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The day.
+    buses, lines : array of bool, shape (N,), (L,)
+        Those of the part.
+    island : bool
+        Whether the grid does not reach it.
+    """
+    if scenario.phases:
+        phases = scenario.phases.islanded if island else scenario.phases
+        return FlowByPhase(scenario, phases, buses)
+    network = scenario.network.islanded if island else scenario.network
+    return FlowOfPart(network, buses, lines)

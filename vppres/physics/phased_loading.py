@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,19 @@ class Loadings:
         kva = [_line_kva(phases, line) for line in rated for _ in line.phases]
         kva += [unit.kva for unit in phases.transformers for _ in unit.to_coils.split()]
         return cls(tuple(names), sp.csr_array(sp.vstack([empty, *blocks])), np.array(kva))
+
+    def in_parts(self, phases: Phases, cut: Phases) -> Loadings:
+        """These of the whole feeder, with no current through what its tables in parts lack."""
+        lines, units = {id(line) for line in cut.lines}, {unit.id for unit in cut.transformers}
+        rated = [line for line in phases.lines if np.isfinite(line.i_max_a)]
+        kept = [id(line) in lines for line in rated for _ in line.phases]
+        kept += [unit.id in units for unit in phases.transformers for _ in unit.to_coils.split()]
+        if not self.names:
+            return self
+        rows = np.flatnonzero(kept)
+        shape = (len(kept), len(rows))
+        place = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=shape)
+        return replace(self, per_volt=sp.csr_array(place @ Loadings.of(cut).per_volt))
 
     @classmethod
     def none(cls, phases: Phases) -> Loadings:

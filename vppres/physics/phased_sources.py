@@ -6,7 +6,8 @@ this order.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ def drawn_uncontrolled(
 
 def flow_of_grid(phases: Phases, assets: Sequence[str], v_pu: float) -> PhasedFlow:
     """The flow with the grid as source."""
-    return PhasedFlow(phases, assets, phases.buses[0].bus, v_pu)
+    return PhasedFlow(phases, assets, [(phases.buses[0].bus, v_pu)])
 
 
 def flow_of_former(
@@ -100,11 +101,62 @@ def flow_of_former(
     It is the grid's, within the upper part of those that keep all voltages within their limits at
     no load, as demand lowers them; where none does, it is in the middle.
     """
-    bus = phases.connection(former).bus
     phases = in_island(phases.islanded, former)
-    probe = PhasedFlow(phases, assets, bus, 1.0)
-    at_rest = probe.v_pu(probe.no_load_v)
+    return PhasedFlow(phases, assets, [_held_by(phases, former, v_slack_pu, v_min_pu, v_max_pu)])
+
+
+def _held_by(
+    phases: Phases, former: str, v_slack_pu: float, v_min_pu: float, v_max_pu: float
+) -> tuple[str, float]:
+    """Bus of the former of an island, and the voltage that it holds."""
+    bus = phases.connection(former).bus
+    probe = PhasedFlow(phases, [], [(bus, 1.0)])
+    at_rest = probe.v_pu(probe.no_load_v)[probe.measured_lit]
     least, most = v_min_pu / at_rest.min(), v_max_pu / at_rest.max()
     middle, upper = (least + share * (most - least) for share in (0.5, HELD))
     held = np.clip(v_slack_pu, middle, upper) if least < most else middle
-    return PhasedFlow(phases, assets, bus, float(held))
+    return bus, float(held)
+
+
+Fed = tuple[tuple[int, str], ...]
+"""Parts of a feeder with a source, by their numbers: the name of its former, empty of the grid."""
+
+
+def flow_of_parts(
+    phases: Phases,
+    assets: Sequence[str],
+    of_bus: Mapping[str, int],
+    fed: Fed,
+    voltages_pu: tuple[float, float, float],
+) -> PhasedFlow:
+    """The flow of a feeder that lines which are out cut into parts.
+
+    Parameters
+    ----------
+    phases : Phases
+        The feeder.
+    assets : sequence of str
+        Devices in the order of their powers.
+    of_bus : mapping
+        Number of the part of each of its buses.
+    fed : tuple
+        Parts that have a source; nothing holds the others.
+    voltages_pu : tuple of float
+        The grid's voltage, and the lowest and the highest of plans.
+    """
+    if len(set(of_bus.values())) == 1:
+        [(_, former)] = fed
+        if former:
+            return flow_of_former(phases, assets, former, *voltages_pu)
+        return flow_of_grid(phases, assets, voltages_pu[0])
+    cut = phases.in_parts(of_bus, {number for number, former in fed if former})
+    sources = []
+    for number, former in fed:
+        if not former:
+            sources.append((phases.buses[0].bus, voltages_pu[0]))
+            continue
+        inside = cut.within({bus for bus, part in of_bus.items() if part == number}, former)
+        inside = in_island(inside, former)
+        cut = replace(cut, buses=tuple(inside.by_bus.get(row.bus, row) for row in cut.buses))
+        sources.append(_held_by(inside, former, *voltages_pu))
+    return PhasedFlow(cut, assets, sources)

@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from vppres.core.arrays import Complexes, Floats, Wholes
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.units import V_PER_KV, VA_PER_KVA, W_PER_KW
 from vppres.physics.powerflow import NoSolutionError
 from vppres.scenario.phases import Phases, PhaseTransformer, coils_of
@@ -201,7 +202,7 @@ def measures(phases: Phases) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class PhasedResult:
-    """One flow: complex voltages of the nodes in V, coil voltages, the source's kVA by phase."""
+    """One flow: complex voltages of the nodes in V, coil voltages, the sources' kVA by phase."""
 
     v: Complexes
     coil_v: Complexes
@@ -216,7 +217,10 @@ class PhasedResult:
 
 
 class PhasedFlow:
-    """Power flow of three phases from one source that holds the three voltages of its bus.
+    """Power flow of three phases from sources that hold the three voltages of their buses.
+
+    Each source has a part of the feeder of its own. What none of them reaches has no voltage, and
+    assets there draw nothing.
 
     Parameters
     ----------
@@ -224,25 +228,38 @@ class PhasedFlow:
         The feeder.
     assets : sequence of str
         Devices in the order of their powers, each with a connection.
-    bus : str
-        The source's bus.
-    v_pu : float
-        Its voltage.
+    sources : sequence of (str, float)
+        Bus and voltage in pu of each source.
     """
 
-    def __init__(self, phases: Phases, assets: Sequence[str], bus: str, v_pu: float) -> None:
+    def __init__(
+        self, phases: Phases, assets: Sequence[str], sources: Sequence[tuple[str, float]]
+    ) -> None:
         self.phases = phases
         self.assets = list(assets)
         nodes = phases.nodes
-        self.held: Wholes = np.array([nodes.index((bus, phase)) for phase in range(3)])
-        self.free: Wholes = np.delete(np.arange(len(nodes)), self.held)
-        self.v_held = v_pu * V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) * ANGLES
+        self.held: Wholes = np.array(
+            [nodes.index((bus, phase)) for bus, _ in sources for phase in range(3)], dtype=int
+        )
+        self.v_held: Complexes = np.concatenate(
+            [v_pu * V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) * ANGLES for bus, v_pu in sources]
+        )
         self.y = admittances(phases)
+        _, joined = connected_components(abs(self.y), directed=False)
+        of_sources = joined[self.held].reshape(-1, 3)
+        #: Nodes that each source reaches, (sources, nodes).
+        self.reached: Flags = np.array([np.isin(joined, own) for own in of_sources], dtype=bool)
+        self.lit: Flags = np.asarray(self.reached.any(axis=0), dtype=bool)
+        self.free: Wholes = np.setdiff1d(np.flatnonzero(self.lit), self.held)
         self._factors: Any = splu(self.y[self.free][:, self.free].tocsc())
         rows = [phases.connection(name) for name in self.assets]
         places = [(row.bus, row.coils) for row in rows]
         self.coils = incidence(phases, places)
         counts = n_coils(places)
+        first = [phases.node_index[bus, coils_of(words)[0][0]] for bus, words in places]
+        #: Assets that each source reaches, (sources, assets), and those that any does, (assets,).
+        self.supplied: Flags = self.reached[:, np.array(first, dtype=int)]
+        self.with_power: Flags = np.asarray(self.supplied.any(axis=0), dtype=bool)
         self.asset: Wholes = np.repeat(np.arange(len(rows)), counts)
         self.share: Floats = each_coil(1.0 / counts, counts)
         self.rated_v: Floats = np.repeat([row.kv * V_PER_KV for row in rows], counts)
@@ -278,9 +295,9 @@ class PhasedFlow:
         return sp.csr_array(self.coils[:, self.free].T)
 
     @cached_property
-    def _u0(self) -> Complexes:
-        """Voltages across the coils at no load."""
-        return np.asarray(self.coils @ self.no_load_v)
+    def no_load_u(self) -> Complexes:
+        """Voltages across the coils at no load; rated ones of coils that no source reaches."""
+        return np.where(self.with_power[self.asset], self.coils @ self.no_load_v, self.rated_v)
 
     @cached_property
     def _z(self) -> Complexes:
@@ -302,10 +319,10 @@ class PhasedFlow:
         NoPhasedSolutionError
             If there is none.
         """
-        p, q = np.asarray(p_kw, float), np.asarray(q_kvar, float)
-        found = self._fixed_point(p, q, self._u0)
+        p, q = (np.where(self.with_power, np.asarray(each, float), 0.0) for each in (p_kw, q_kvar))
+        found = self._fixed_point(p, q, self.no_load_u)
         if found is None:
-            u, rounds = self._newton(p, q, self._u0), MAX_ROUNDS
+            u, rounds = self._newton(p, q, self.no_load_u), MAX_ROUNDS
         else:
             u, rounds = found
         if u is None:
@@ -317,7 +334,7 @@ class PhasedFlow:
         before = np.inf
         for rounds in range(MAX_ROUNDS):
             current = np.conj(self.drawn_va(p, q, u) / u)
-            after = self._u0 - self.coils @ self.taken(current)
+            after = self.no_load_u - self.coils @ self.taken(current)
             change = float((np.abs(after - u) / self.rated_v).max(initial=0.0))
             u = after
             if change <= TOLERANCE_PU:
@@ -329,7 +346,7 @@ class PhasedFlow:
 
     def _newton(self, p: Floats, q: Floats, u: Complexes) -> Complexes | None:
         """Voltages by Newton's method in real and imaginary parts; None where it fails."""
-        u0, z = self._u0, self._z
+        u0, z = self.no_load_u, self._z
         for _ in range(MAX_NEWTON):
             s = self.drawn_va(p, q, u)
             current = np.conj(s / u)
@@ -363,7 +380,7 @@ class PhasedFlow:
     def _reached(self, p: Floats, q: Floats) -> float:
         """Share of a load up to which there is a solution, from no load on."""
         low, high = 0.0, 1.0
-        u = self._u0
+        u = self.no_load_u
         while high - low > LEAST_SHARE:
             share = (low + high) / 2.0
             found = self._newton(share * p, share * q, u)
@@ -389,14 +406,21 @@ class PhasedFlow:
         return self.phases.measured, measures(self.phases)
 
     def v_pu(self, v: Complexes) -> Floats:
-        """Voltages in pu as their limits count them."""
-        return np.asarray(np.abs(self.measured[1] @ v))
+        """Voltages in pu as their limits count them; 1 where no source holds any."""
+        found = np.abs(self.measured[1] @ v)
+        return np.where(self.measured_lit, found, 1.0)
+
+    @cached_property
+    def measured_lit(self) -> Flags:
+        """Voltages with limits that a source holds, (m,)."""
+        return np.asarray(abs(self.measured[1]) @ self.lit > 0.0)
 
     @cached_property
     def complete(self) -> tuple[list[str], Wholes]:
-        """Buses with three phases, and their nodes, (buses, 3)."""
+        """Buses with three phases that a source holds, and their nodes, (buses, 3)."""
         at = self.phases.node_index
-        buses = [row.bus for row in self.phases.buses if len(row.phases.split()) == 3]
+        complete = [row.bus for row in self.phases.buses if len(row.phases.split()) == 3]
+        buses = [bus for bus in complete if self.lit[at[bus, 0]]]
         places = [[at[bus, phase] for phase in range(3)] for bus in buses]
         return buses, np.array(places, dtype=int)
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Complexes, Flags, Floats, Names
 from vppres.core.errors import VerificationError
 from vppres.kinds.gensets.physics import Engines
 from vppres.physics.feeder import PowerFlow
@@ -78,6 +78,8 @@ class Settled:
     former: str = ""  #: the device that was the source; empty where none was, and with grid
     #: Why the part of each customer is blacked out if lines are out, (C,); empty otherwise.
     off: Names | None = None
+    #: What the former of a part gives on each phase if lines are out, (phases,).
+    former_kva: Complexes | None = None
 
     @property
     def dark(self) -> bool:
@@ -87,9 +89,10 @@ class Settled:
 
 @dataclass(frozen=True, eq=False)
 class PartOfPlant:
-    """Buses and devices of a part of the feeder; (n,) of each kind of unit."""
+    """Buses, places and devices of a part of the feeder; (n,) of each kind of unit."""
 
     buses: Flags
+    places: Flags
     customers: Flags
     pv: Flags
     batteries: Flags
@@ -97,9 +100,13 @@ class PartOfPlant:
 
     @classmethod
     def of(cls, places: Places, buses: Flags) -> PartOfPlant:
-        """Devices of a balanced feeder at these buses, (N,)."""
-        units = {kind: buses[at] for kind, at in places.units.items()}
-        return cls(buses, buses[places.customers], buses[places.pv], buses[places.batteries], units)
+        """Devices at these buses, (N,)."""
+        inside = buses[places.bus]
+        units = {kind: inside[at] for kind, at in places.units.items()}
+        customers, pv, batteries = (
+            inside[at] for at in (places.customers, places.pv, places.batteries)
+        )
+        return cls(buses, inside, customers, pv, batteries, units)
 
 
 @dataclass(frozen=True, eq=False)

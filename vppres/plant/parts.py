@@ -6,44 +6,22 @@ the grid goes on as with grid, each other one is an island of its own former, or
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vppres.contract.decision import Decision
-from vppres.core.arrays import Flags
-from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.core.arrays import Flags, Wholes
+from vppres.physics.feeder import PowerFlow, flow_of_part
+from vppres.physics.phased_sources import measured_at
+from vppres.physics.powerflow import ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, PartOfPlant, Settled
 from vppres.plant.plant import BatteryState, Plant, Realised
 from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within
-from vppres.scenario.network import Network
-
-
-class FlowOfPart(ACPowerFlow):
-    """Power flow of a part: of the whole feeder, where nothing outside the part draws or gives.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    buses, lines : array of bool, shape (N,), (L,)
-        Those of the part.
-    """
-
-    def __init__(self, network: Network, buses: Flags, lines: Flags) -> None:
-        super().__init__(network.drawing_inside(buses, lines))
-        self.buses = buses
-        self.lines = lines
-
-    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
-        """Power flow of the injections inside the part."""
-        p, q = (np.where(self.buses, np.asarray(each, float), 0.0) for each in (p_kw, q_kvar))
-        return super().solve(p, q, reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +45,10 @@ class PlantInParts:
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
         self.network = plant.scenario.network
-        self._flows: dict[tuple[bytes, bytes, bool], FlowOfPart] = {}
+        phases = plant.scenario.phases
+        every = np.arange(self.network.n_buses)
+        self._bus_of_node = measured_at(phases, self.network) if phases else every
+        self._flows: dict[tuple[bytes, bytes, bool], PowerFlow] = {}
 
     def settle(
         self,
@@ -100,7 +81,7 @@ class PlantInParts:
             self._settled(t, decision, state, out, of_bus == number, held, online)
             for number in np.unique(of_bus)
         ]
-        return _joined(found)
+        return _joined(found, self._bus_of_node)
 
     def _settled(
         self,
@@ -155,12 +136,11 @@ class PlantInParts:
             }
         return replace(plan, **changed)
 
-    def _flow(self, buses: Flags, lines: Flags, island: bool) -> FlowOfPart:
+    def _flow(self, buses: Flags, lines: Flags, island: bool) -> PowerFlow:
         """Power flow of a part, made once."""
         key = buses.tobytes(), lines.tobytes(), island
         if key not in self._flows:
-            network = self.network.islanded if island else self.network
-            self._flows[key] = FlowOfPart(network, buses, lines)
+            self._flows[key] = flow_of_part(self.plant.scenario, buses, lines, island)
         return self._flows[key]
 
 
@@ -171,8 +151,8 @@ def _in_row(values: Any, row: int, inside: Flags, outside: Any) -> Any:
     return changed
 
 
-def _joined(parts: list[SettledPart]) -> Settled:
-    """The step of the whole feeder."""
+def _joined(parts: list[SettledPart], bus_of_node: Wholes) -> Settled:
+    """The step of the whole feeder, whose voltages by phase are at these buses."""
     first = parts[0].done
     others = [part.done for part in parts[1:]]
     every = [first, *others]
@@ -181,18 +161,19 @@ def _joined(parts: list[SettledPart]) -> Settled:
     reasons = np.full(len(realised.served), "", dtype=object)
     for part in parts:
         reasons[part.inside.customers] = part.done.dark_reason
-    former = next((done.former for done in every if done.former), "")
+    formed = [done for done in every if done.former]
     failed = [done.ac_failed for done in every if done.ac_failed]
     return Settled(
         realised,
-        _joined_flow(parts),
+        _joined_flow(parts, bus_of_node),
         sum((done.mismatch_kw for done in others), start=first.mismatch_kw),
         np.any([part.done.shed & part.inside.customers for part in parts], axis=0),
         "; ".join(dict.fromkeys(dark)) if all(dark) else "",
         "; ".join(failed),
         sum(done.by_set_kw for done in every),
-        former,
+        formed[0].former if formed else "",
         reasons,
+        formed[0].ac.source_kva if formed else None,
     )
 
 
@@ -204,7 +185,7 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
         "load_kw": inside.customers,
         **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"), inside.pv),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc_end"), inside.batteries),
-        **dict.fromkeys(("p_injection_kw", "q_injection_kvar"), inside.buses),
+        **dict.fromkeys(("p_injection_kw", "q_injection_kvar"), inside.places),
     }
     changed: dict[str, Any] = {
         name: np.where(which, getattr(own, name), getattr(so_far, name))
@@ -223,21 +204,31 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
     )
 
 
-def _joined_flow(parts: list[SettledPart]) -> ACResult:
+def _joined_flow(parts: list[SettledPart], bus_of_node: Wholes) -> ACResult:
     """Voltages and flows of all parts; NaN and 0 in dark ones, and over lines that are out."""
     first = parts[0].done.ac
-    at_buses = {"v_pu", "v_node_pu"}
-    at_lines = {"p_from_kw", "q_from_kvar", "p_to_kw", "q_to_kvar"}
+    of_buses = [part.inside.buses for part in parts]
+    of_nodes = [buses[bus_of_node] for buses in of_buses]
+    of_lines = [part.lines for part in parts]
+    places = {"v_pu": of_buses, "v_node_pu": of_nodes}
+    places |= {name: of_lines for name in ("p_from_kw", "q_from_kvar", "p_to_kw", "q_to_kvar")}
     values: dict[str, Any] = {}
-    for f in fields(first):
-        if f.name not in at_buses | at_lines:
-            continue
-        on_lines = f.name in at_lines
-        found = np.zeros_like(getattr(first, f.name))
-        for part in parts:
-            which = part.lines if on_lines else part.inside.buses
-            found[which] = getattr(part.done.ac, f.name)[which]
-        values[f.name] = found
+    for name, of_parts in places.items():
+        found = np.zeros_like(getattr(first, name))
+        for part, which in zip(parts, of_parts, strict=True):
+            found[which] = getattr(part.done.ac, name)[which]
+        values[name] = found
+    lit = [part.done.ac for part in parts if np.isfinite(part.done.ac.loading)]
+    if first.phases:
+        labels = np.array([part.done.ac.nodes for part in parts], dtype=object)
+        of_part = np.argmax(of_nodes, axis=0)
+        own = labels[of_part, np.arange(len(of_part))].tolist()
+        values["nodes"] = tuple((bus, phase) for bus, phase in own)
+        unbalance = np.array([part.done.ac.unbalance for part in parts])
+        values["unbalance"] = float(np.fmax.reduce(unbalance))
+    if lit:
+        fullest = max(lit, key=lambda ac: ac.loading)
+        values |= {"loading": fullest.loading, "loading_at": fullest.loading_at}
     return replace(
         first,
         **values,

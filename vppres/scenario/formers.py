@@ -46,15 +46,17 @@ def forming_batteries(site: Any) -> Flags:
 
 
 def formers_within(site: Any, inside: Flags) -> Flags:
-    """Batteries that form the grid of a part of a balanced feeder, (B,), by those that it has.
+    """Batteries that form the grid of a part of a feeder, (B,), by those that it has.
 
-    If none of the feeder is named, it is the largest of the part.
+    If none of the feeder is named, it is the largest of the part; with phases of those with three.
     """
     batteries = site.batteries
     formers = forming_batteries(site)
     if batteries.grid_forming.any() or not formers.any():
         return np.asarray(formers & inside)
     able = inside & (batteries.active_max_kw > 0.0)
+    if site.phases:
+        able &= site.phases.complete(batteries)
     largest = np.argmax(np.where(able, batteries.s_max_kva, -1.0))
     return np.asarray(able & (np.arange(len(able)) == largest))
 

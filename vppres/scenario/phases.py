@@ -7,7 +7,7 @@ are numbers in ``lines.csv``.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -232,6 +232,45 @@ class Phases:
             return self
         return replace(self, shunts=shunts, transformers=units)
 
+    def in_parts(self, of_bus: Mapping[str, int], islands: Collection[int]) -> Phases:
+        """The tables without what joins parts, those of islands with their shunts and taps.
+
+        Parameters
+        ----------
+        of_bus : mapping
+            Number of the part of each bus.
+        islands : collection of int
+            Parts that are islands.
+        """
+        alone = {bus for bus, number in of_bus.items() if number in islands}
+        of_islands = self.islanded
+        shunts = [row for row in self.shunts if row.bus not in alone or row.island != "no"]
+        units = zip(self.transformers, of_islands.transformers, strict=True)
+        kept = [own if unit.to_bus in alone else unit for unit, own in units]
+
+        def inside(row: PhaseLine | PhaseTransformer) -> bool:
+            return of_bus[row.from_bus] == of_bus[row.to_bus]
+
+        return replace(
+            self,
+            lines=tuple(filter(inside, self.lines)),
+            transformers=tuple(filter(inside, kept)),
+            shunts=tuple(shunts),
+        )
+
+    def within(self, buses: Collection[str], source: str) -> Phases:
+        """The tables of a part at some buses, that of its source, an asset, first."""
+        first = self.connection(source).bus
+        own = [row for row in self.buses if row.bus in buses]
+        return replace(
+            self,
+            buses=tuple(sorted(own, key=lambda row: row.bus != first)),
+            lines=tuple(row for row in self.lines if row.from_bus in buses),
+            transformers=tuple(row for row in self.transformers if row.from_bus in buses),
+            shunts=tuple(row for row in self.shunts if row.bus in buses),
+            connections=tuple(row for row in self.connections if row.bus in buses),
+        )
+
     @cached_property
     def by_bus(self) -> dict[str, PhaseBus]:
         """Rows of the buses by their names."""
@@ -258,8 +297,12 @@ class Phases:
 
     def formers(self, batteries: Batteries) -> Flags:
         """Batteries that can form an island, (B,): those chosen to that have all three phases."""
-        complete = [self.connection(str(name)).three_coils for name in batteries.id]
-        return np.asarray(batteries.formers & np.array(complete, dtype=bool))
+        return np.asarray(batteries.formers & self.complete(batteries))
+
+    def complete(self, batteries: Batteries) -> Flags:
+        """Batteries with all three phases, (B,)."""
+        found = [self.connection(str(name)).three_coils for name in batteries.id]
+        return np.array(found, dtype=bool)
 
     @cached_property
     def _connections(self) -> dict[str, PhaseConnection]:

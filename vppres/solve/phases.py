@@ -19,7 +19,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, phased_model
+from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, Slopes, phased_model
 from vppres.model.site import Site
 from vppres.model.statement import DRAWN
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
@@ -59,7 +59,8 @@ linear solution that uses all that it may has no inside else."""
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
 
-Factors = Callable[[Wholes], tuple[Any, Any]]
+OfSlopes = Callable[[Slopes], Callable[[Wholes], tuple[Any, Any]]]
+"""Factors of places, by the slopes of a supply."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +97,9 @@ class PhaseLimits:
         self.data = data
         self.drawn = drawn_by_assets(self.model, data, problem)
         self.phased = data.require_phased()
-        self.limited = self.model.limited & lit_steps(data)[:, None]
+        self.limited = self.model.limits_at(data, lit_steps(data))
         self.source = np.maximum(self.model.sources(data), GRID)
+        self.formed = self.model.formed(data)
 
     @property
     def near(self) -> list[PhaseRows]:
@@ -125,29 +127,29 @@ class PhaseLimits:
         scale = (PER_PU2, -PER_PU2)[side]
         if not len(steps):
             return []
-        by_p, by_q = self._at(steps, nodes, [s.of_voltages for s in self.model.slopes])
+        by_p, by_q = self._at(steps, nodes, lambda slopes: slopes.of_voltages)
         least = scale * (limit - self.phased.u_offset)[steps, nodes]
         return self._rows(steps, scale * by_p.real, scale * by_q.real, least, nodes, side)
 
-    def _at(self, steps: Wholes, places: Wholes, slopes: Sequence[Factors]) -> tuple[Any, Any]:
-        """Factors of some places in some steps, with the step's source, (R, D) each."""
+    def _at(self, steps: Wholes, places: Wholes, of: OfSlopes) -> tuple[Any, Any]:
+        """Factors of some places in some steps, with the step's supply, (R, D) each."""
         found = [np.zeros((len(steps), self.drawn.kw.shape[1]), dtype=complex) for _ in range(2)]
-        for source, of_places in enumerate(slopes):
+        for source in np.unique(self.source[steps]):
             there = self.source[steps] == source
-            if there.any():
-                for each, values in zip(found, of_places(places[there]), strict=True):
-                    each[there] = values
+            of_places = of(self.model.supplies[source].slopes)
+            for each, values in zip(found, of_places(places[there]), strict=True):
+                each[there] = values
         return found[0], found[1]
 
     def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
-        """Rows of each phase of the former that is beyond its polygon."""
-        if not (self.model.formers and self.data.dark.any()):
+        """Rows of each phase of a former that is beyond its polygon."""
+        if not (self.model.formers and self.formed.any()):
             return []
         room = np.maximum(self.phased.room_kva, NO_POWER_KW)
-        room = np.where(self.data.dark, room, np.inf)[:, None]
-        slopes = [s.of_former for s in self.model.slopes]
+        room = np.where(self.formed, room, np.inf)
         beyond = self._beyond(kva, room) > over
-        return self._sides(kva, self.phased.former_offset, room, slopes, beyond, OF_FORMER)
+        offset = self.phased.former_offset
+        return self._sides(kva, offset, room, lambda slopes: slopes.of_former, beyond, OF_FORMER)
 
     def _rated(self, drawn: tuple[Floats, Floats], over: float) -> list[PhaseRows]:
         """Rows of the currents farthest beyond their ratings in each step."""
@@ -158,9 +160,10 @@ class PhaseLimits:
         currents = offset + self.model.currents(self.data, *drawn)
         beyond = self._beyond(currents, room)
         least = -np.sort(-beyond, axis=1)[:, :MOST_NEW][:, -1:]
-        slopes = [s.of_currents for s in self.model.slopes]
         farthest = (beyond > over) & (beyond >= least)
-        return self._sides(currents, offset, room, slopes, farthest, OF_RATING)
+        return self._sides(
+            currents, offset, room, lambda slopes: slopes.of_currents, farthest, OF_RATING
+        )
 
     @staticmethod
     def _beyond(at: Complexes, room: Floats) -> Floats:
@@ -173,7 +176,7 @@ class PhaseLimits:
         at: Complexes,
         offset: Complexes,
         room: Floats,
-        slopes: Sequence[Factors],
+        of: OfSlopes,
         which: Flags,
         kind: int,
     ) -> list[PhaseRows]:
@@ -184,7 +187,7 @@ class PhaseLimits:
         steps, places = np.nonzero(which)
         if not len(steps):
             return []
-        of_p, of_q = self._at(steps, places, slopes)
+        of_p, of_q = self._at(steps, places, of)
         radius = REACH * np.broadcast_to(room, at.shape)[steps, places]
         side = np.round(np.angle(at[steps, places]) * SIDES / (2.0 * np.pi)).astype(int)
         found = []
@@ -219,9 +222,9 @@ class PhaseLimits:
 def drawn_by_assets(model: PhasedModel, data: WindowData, problem: Selected) -> ColumnPowers:
     """Power that assets draw by a problem's columns; the former's power as a source is none."""
     W = data.n_steps
-    shown = np.ones((W, len(model.flows[GRID].assets)))
-    for source, device in enumerate(model.devices[1:], start=1):
-        shown[model.sources(data) == source, device] = 0.0
+    shown = np.ones((W, len(model.at_bus_of_assets)))
+    for t, source in enumerate(model.sources(data)):
+        shown[t, model.devices(int(source))] = 0.0
     by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
     mask = sp.diags_array(shown.ravel())
     found = (problem.numbers_of(name) for name in DRAWN)
@@ -264,7 +267,7 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     u, former = model.linear(data, *drawn)
     u = phased.u_offset + u
     room = np.abs(u - phased.u_min), np.abs(phased.u_max - u)
-    limited = model.limited & lit_steps(data)[:, None]
+    limited = model.limits_at(data, lit_steps(data))
     bound = phased.bound | binding(model, limited, room)
     kva = phased.former_offset + former
     return replace(data, phased=replace(phased, bound=bound, former_kva=kva))

@@ -18,7 +18,6 @@ from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING
 from vppres.model.phases import GRID, phased_model
 from vppres.scenario.assets import NO_POWER_KW
-from vppres.scenario.phases import PHASES
 from vppres.solve.limits import run_within_limits
 from vppres.solve.network.rows import PER_PU2
 from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PhaseRows
@@ -31,7 +30,7 @@ from vppres.solve.turns import one_at_a_time
 class PhasePrices:
     """Part of limits of a phased feeder in the price of 1 kW or 1 kvar at each of D assets."""
 
-    #: Phases of the former, (3, D).
+    #: Phases of the formers, (K, D).
     active: Floats
     reactive: Floats
     #: Ratings of lines and coils, (k, D).
@@ -62,7 +61,7 @@ class ShadowPrices:
     voltage_ceiling: Floats
     #: For 1 kVA more through each line, (L,); of a phased feeder through each phase of one, (k,).
     line_rating: Floats
-    #: For 1 kVA more on each phase of the former, (3,); none of a balanced feeder.
+    #: For 1 kVA more on each phase of the formers, (K,); none of a balanced feeder.
     former_phase: Floats
     #: What ratings of lines make of the price of 1 kW or 1 kvar at each bus, (N,).
     line_active: Floats
@@ -197,15 +196,19 @@ def _of_phases(model: ShadowPriceModel) -> dict[str, Any]:
     """Prices of a network with phases, whose rows are in squares and shares."""
     assert model.data is not None
     net = model.site.feeder
-    room_kva = float(model.data.require_phased().room_kva[0])
+    phased = phased_model(model.site)
+    source = int(phased.sources(model.data)[0])
+    own = slice(len(phased.supplies[max(source, GRID)].forms))
+    room_kva = model.data.require_phased().room_kva[0, own]
     duals, costs = _by_side(model)
-    of_former, of_rating = (costs[side].swapaxes(0, 1) for side in (OF_FORMER, OF_RATING))
+    of_former = costs[OF_FORMER][own].swapaxes(0, 1)
+    of_rating = costs[OF_RATING].swapaxes(0, 1)
     by_voltage = costs[LOW].sum(axis=0) + costs[HIGH].sum(axis=0)
     return {
         "voltage_floor": duals[LOW] * _per_milli_pu(PER_PU2, net.v_min_pu),
         "voltage_ceiling": duals[HIGH] * _per_milli_pu(PER_PU2, net.v_max_pu),
-        "line_rating": duals[OF_RATING] * (1.0 / phased_model(model.site).rated_kva),
-        "former_phase": duals[OF_FORMER] * (1.0 / max(room_kva, NO_POWER_KW)),
+        "line_rating": duals[OF_RATING] * (1.0 / phased.rated_kva),
+        "former_phase": duals[OF_FORMER][own] * (1.0 / np.maximum(room_kva, NO_POWER_KW)),
         "line_active": np.zeros(net.n_buses),
         "line_reactive": np.zeros(net.n_buses),
         "phases": PhasePrices(*of_former, *of_rating, *by_voltage),
@@ -224,11 +227,13 @@ def _of_discs(model: ShadowPriceModel, name: str) -> Floats:
 
 def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floats]]:
     """Duals of the first step by side, added up by place; and by place, kW or kvar, and asset."""
+    assert model.data is not None
     phased = phased_model(model.site)
     n_buses = model.site.feeder.n_buses
+    n_former = model.data.require_phased().room_kva.shape[1]
     n_rated = len(phased.rated_kva)
-    sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: len(PHASES), OF_RATING: n_rated}
-    assets = len(phased.flows[GRID].assets)
+    sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: n_former, OF_RATING: n_rated}
+    assets = len(phased.at_bus_of_assets)
     duals = {side: np.zeros(size) for side, size in sizes.items()}
     costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
     found = [rows for rows in model.phase_rows if isinstance(rows, PhaseRows)]

@@ -8,13 +8,14 @@ import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.control.by_part import PartState, parts_of_step
+from vppres.control.phased_rule import supply_of
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
 from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows
 from vppres.model.parts import at_items
-from vppres.model.phases import beyond, phased_model
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
 from vppres.scenario.source import EXACT_PU
@@ -285,7 +286,7 @@ def _balance_in(row: _Row, state: StepState, within: Tolerances) -> str:
 def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     """Power that a phased feeder draws beyond its assets, in kW; 0 without a solution."""
     model = phased_model(state.site)
-    source = model.sources_of(np.array(state.island), state.formers)
+    source = supply_of(state)
     p_kw, q_kvar = model.powers(
         source,
         load_kw=state.load_kw * row.served,
@@ -294,10 +295,10 @@ def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> flo
         taken_kw=row.taken_kw,
     )
     try:
-        found = model.solved(int(source), p_kw, q_kvar)
+        found = model.solved(source, p_kw, q_kvar)
     except NoPhasedSolutionError:
         return 0.0
-    return 0.0 if found is None else beyond(found, p_kw, q_kvar)[0]
+    return 0.0 if found is None else float(model.supplies[source].beyond(found, p_kw, q_kvar)[0][0])
 
 
 def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:

@@ -239,13 +239,14 @@ class GuardedController:
 
         def as_planned_in(part: PartState) -> Carried | None:
             dimmed = replace(part.state, load_kw=part.state.load_kw * share)
-            return carry(dimmed, served & part.customers, wanted * part.batteries)
+            found = carry(dimmed, served & part.customers, wanted * part.batteries)
+            phased = part.state.island and bool(self.site.phases)
+            if found is None or found.shortage or not phased:
+                return found
+            return found if carried_by_phase(part.state, found.dispatch) else None
 
         carried = by_part(state, as_planned_in)
         if carried is None or carried.shortage:
-            return None
-        phased = state.island and bool(self.site.phases)
-        if phased and not carried_by_phase(state, carried.dispatch):
             return None
         supplied = carried.dispatch.served[0] * share
         dimmed = None if plan.share is None else supplied[np.newaxis]

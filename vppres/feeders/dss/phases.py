@@ -364,7 +364,7 @@ def flow_of_source(source: PhasedSource) -> tuple[PhasedFlow, Floats, Floats]:
     """The own power flow of a source as it is given: with its powers, drawn positive."""
     phases = replace(source.phases, connections=tuple(load.connection for load in source.loads))
     names = [load.connection.id for load in source.loads]
-    flow = PhasedFlow(phases, names, phases.buses[0].bus, source.v_pu)
+    flow = PhasedFlow(phases, names, [(phases.buses[0].bus, source.v_pu)])
     signs = np.array([1.0 if load.kind in DRAWING else -1.0 for load in source.loads])
     p_kw = signs * np.array([load.p_kw for load in source.loads])
     q_kvar = signs * np.array([load.q_kvar for load in source.loads])

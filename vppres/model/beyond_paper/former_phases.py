@@ -33,23 +33,37 @@ class FormerPhases(Addition):
     apart: ClassVar[bool] = True
     for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
-    formers: range
+    formers: list[tuple[int, slice]]
     rest_kw: cp.Parameter
     room_kw: cp.Parameter
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
-        """How many devices may form an island of phases, None if there is no such step."""
-        formed = data.phased is not None and data.dark.any()
-        return len(phased_model(site).formers) or None if formed else None
+        """Supplies of parts in the window, None if nothing can form a step without grid."""
+        if data.phased is None:
+            return None
+        model = phased_model(site)
+        if not (model.formers and model.formed(data).any()):
+            return None
+        return tuple(model.parts_in(data))
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """Parameters of a window."""
-        assert isinstance(shape, int)
-        size = (v.u.shape[0] * shape, 3)
+        assert isinstance(shape, tuple)
+        model = phased_model(site)
+        of_parts = [
+            model.supplied(np.frombuffer(numbers, dtype=np.int64), fed) for numbers, fed in shape
+        ]
+        formers = [
+            (source, slice(3 * at, 3 * at + 3))
+            for source in (*range(1, 1 + len(model.formers)), *of_parts)
+            for at, (_, former) in enumerate(model.supplies[source].fed)
+            if former
+        ]
+        size = (v.u.shape[0] * len(formers), 3)
         return cls(
-            range(1, 1 + shape),
+            formers,
             cp.Parameter(size, name="former_rest_kw"),
             cp.Parameter(size, name="former_room_kw"),
         )
@@ -58,15 +72,18 @@ class FormerPhases(Addition):
         """Write a window's data."""
         phased = data.require_phased()
         ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva])
-        sources = phased_model(site).sources(data)
-        rooms = []
+        model = phased_model(site)
+        sources = model.sources(data)
+        rest, rooms = [], []
         for former in self.formers:
+            source, own = former
             kvar = _per_unit(site, former, reactive=True)[len(site.customers) :]
             rating = np.zeros(len(kvar))
             rating[: len(ratings)] = ratings
-            room_kw = REACH * phased.room_kva[:, None] + np.abs(kvar).T @ rating
-            rooms.append(np.where((sources == former)[:, None], room_kw, ANY_KW))
-        write(self.rest_kw, np.tile(phased.former_offset.real, (len(self.formers), 1)))
+            room_kw = REACH * phased.room_kva[:, own] + np.abs(kvar).T @ rating
+            rooms.append(np.where((sources == source)[:, None], room_kw, ANY_KW))
+            rest.append(phased.former_offset.real[:, own])
+        write(self.rest_kw, np.vstack(rest))
         write(self.room_kw, np.vstack(rooms))
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
@@ -85,15 +102,15 @@ class FormerPhases(Addition):
         return {most: given_kw <= self.room_kw, least: -given_kw <= self.room_kw}
 
 
-def _per_unit(site: Site, former: int, reactive: bool) -> Floats:
+def _per_unit(site: Site, former: tuple[int, slice], reactive: bool) -> Floats:
     """Active power of a former's phases for each kW or kvar that an asset draws, (D, 3).
 
-    The former itself is the source.
+    The former itself, a supply and its phases there, is the source.
     """
-    model = phased_model(site)
-    slopes = model.slopes[former]
-    per = np.real(slopes.former_q if reactive else slopes.former_p).T.copy()
-    per[model.devices[former]] = 0.0
+    source, own = former
+    one = phased_model(site).supplies[source]
+    per = np.real(one.slopes.former_q if reactive else one.slopes.former_p)[own].T.copy()
+    per[one.devices] = 0.0
     return per
 
 

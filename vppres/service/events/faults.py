@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.errors import InputError
-from vppres.day.checks import BALANCED, NOT_STATED
 from vppres.io.messages import did_you_mean
 from vppres.scenario.configuration import Branches, in_configuration, out_of_branches
 from vppres.scenario.faults import LineFault, OutOfService, parts_by_bus
@@ -33,13 +32,10 @@ def check_fault(said: payloads.Event, scenario: Scenario) -> None:
     Raises
     ------
     InputError
-        For a line or bus that the feeder has not, the grid's, and on a feeder with phases.
+        For a line or bus that the feeder has not, and the grid's.
     """
     if not isinstance(said, payloads.Fault):
         return
-    if scenario.phases:
-        cure = f"Put an event outage or alert, or {BALANCED}."
-        raise InputError.of("event", NOT_STATED, cure, field="type", value=said.type)
     field = "bus" if said.line is None else "line"
     name = getattr(said, field)
     network = scenario.network
