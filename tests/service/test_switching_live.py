@@ -156,6 +156,7 @@ def test_a_service_killed_between_two_operations_goes_on_from_what_is_read(
         # Meanwhile somebody opened the switch by hand: nothing is left to be done.
         read(http, clock, s=0)
         assert http.get("/v1/switching").json()["status"] == "done"
+        assert decided(http, clock, NOON + HOUR)["switches_open"] == ["s"]
 
 
 def the_shop(plan: dict[str, Any]) -> dict[str, Any]:
