@@ -156,10 +156,17 @@ def test_a_service_killed_between_two_operations_goes_on_from_what_is_read(
         # Meanwhile somebody opened the switch by hand: nothing is left to be done.
         read(http, clock, s=0)
         assert http.get("/v1/switching").json()["status"] == "done"
+        assert decided(http, clock, NOON + HOUR)["switches_open"] == ["s"]
 
 
 def the_shop(plan: dict[str, Any]) -> dict[str, Any]:
     return said(plan, "customers")["shop"]
+
+
+def standing(http: Caller, kind: str) -> list[dict[str, Any]]:
+    """Alarms of a kind that are not cleared."""
+    found = http.get("/v1/alarms").json()["alarms"]
+    return [one for one in found if one["kind"] == kind and not one["cleared_at"]]
 
 
 def out(http: Caller, line: str) -> None:
@@ -193,9 +200,7 @@ def test_plans_are_of_the_feeder_as_its_switches_are_read(tmp_path: Path, mode: 
         assert "unaware_of" not in http.get("/v1/plan").json()
         assert http.get("/v1/switching").json()["unlike_plans"] == []
         # The fault is there, and takes nobody's supply.
-        [alarm] = [
-            one for one in http.get("/v1/alarms").json()["alarms"] if one["kind"] == "line_out"
-        ]
+        [alarm] = standing(http, "line_out")
         assert alarm["text"] == "Line 2-3 is out of service, and its end is not known."
         # Set-points of an operator are checked on the same feeder.
         on = {"kind": "customers", "asset": "shop", "served": True}
@@ -232,6 +237,8 @@ def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path) -> No
         assert proposed == plan["proposed"]
         assert proposed["closed"] == {"t": True, "s": False}
         assert proposed["why"].startswith("closing t serves 1 customer until ")
+        [alarm] = standing(http, "switch_proposed")
+        assert alarm["text"] == f"C{proposed['why'][1:]}; it waits for an operator."
         told = http.put("/v1/switching", {"closed": proposed["closed"]}).json()
         assert [words.split(":")[0] for words in told["operations"]] == ["open s", "close t"]
         for name, state in (("s", 0), ("t", 1)):
@@ -241,6 +248,7 @@ def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path) -> No
         plan = runner.anew() or {}
         assert the_shop(plan)["served"] and "proposed" not in plan
         assert http.get("/v1/switching").json()["proposed"] is None
+        assert standing(http, "switch_proposed") == []
 
 
 def test_a_step_is_explained_on_the_feeder_as_it_was_read(tmp_path: Path) -> None:

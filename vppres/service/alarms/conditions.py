@@ -20,7 +20,7 @@ from vppres.service.as_told import expected_by
 from vppres.service.events.announced import announced_at
 from vppres.service.events.faults import behind_faults
 from vppres.service.of_kind import every
-from vppres.service.plans.document import DARK, points_at, refused_of
+from vppres.service.plans.document import DARK, PROPOSED, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
 from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
@@ -198,6 +198,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _one_former_left(now)
     yield from _shed(now)
     yield from _critical_off(now)
+    yield from _switch_proposed(now)
     yield from _longest_off(now)
     yield from _island_margin(now)
     yield from _fallback(now)
@@ -291,6 +292,15 @@ def _lines_out(now: Situation) -> Iterator[Condition]:
             words += f"; {named(cut, NAMES_SHOWN)} off supply: {why}"
         priority = HIGH if now.critical.intersection(cut) else MEDIUM
         yield Condition("line_out", name, priority, f"{words}.", tuple(cut))
+
+
+def _switch_proposed(now: Situation) -> Iterator[Condition]:
+    """Switches that the plan proposes to move."""
+    proposed = now.plan.get(PROPOSED, {})
+    if proposed.get("closed") and now.ahead_s > 0.0:
+        why = proposed["why"]
+        words = f"{why[0].upper()}{why[1:]}; it waits for an operator."
+        yield Condition("switch_proposed", "", HIGH if now.critical & now.off else MEDIUM, words)
 
 
 def _shed(now: Situation) -> Iterator[Condition]:

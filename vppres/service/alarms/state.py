@@ -75,6 +75,9 @@ KINDS = {
     "critical_off": AlarmKind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),
+    "switch_proposed": AlarmKind(
+        0.0, 0.0, "Look at the operations proposed, and ask for them: PUT /v1/switching."
+    ),
     "longest_off": AlarmKind(
         0.0,
         0.0,
