@@ -190,11 +190,14 @@ def test_a_rating_that_is_exceeded_without_control_is_told_before_customers_are_
     said = [words for words in content_of(day)["remarks"] if "of its rating" in words]
     assert len(said) == 1 and said[0].startswith(f"Without control {where} carries ")
     assert "exceeded in 2 of 2 steps with grid" in said[0]
+    assert said[0].endswith("and no customer is switched off for it.")
     options = RunOptions(horizon_h=0.0, mode="physical")
-    limited, reported = (
-        run_day(day, replace(options, ratings=ratings)) for ratings in (LIMIT, REPORT)
+    limited, imported, reported = (
+        run_day(day, replace(options, ratings=ratings)) for ratings in (LIMIT, None, REPORT)
     )
     assert not limited.customers["served"].all()
-    assert reported.customers["served"].all()
+    for run in (imported, reported):
+        assert run.customers["served"].all()
+        assert set(run.steps["fallback"]) == {"none"}
     rated = replace(day, controller=replace(day.controller, ratings=REPORT))
     assert not [words for words in content_of(rated)["remarks"] if "of its rating" in words]

@@ -26,7 +26,7 @@ from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.report.findings import findings
 from vppres.scenario.network import Network
-from vppres.scenario.scenario import LIMIT, REPORT, Scenario
+from vppres.scenario.scenario import LIMIT, REPORT, SOFT, Scenario
 from vppres.solve.ladder import WindowSolver
 
 OUTAGE = (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T16:00Z"))
@@ -129,6 +129,23 @@ def test_ratings_limit_plans_by_belief_and_with_generating_sets(
     assert line_loading(run).max() <= 1.0
     with_grid = run.customers["served"].to_numpy().reshape(4, 3)[[0, 3]]
     assert (with_grid == [True, True, False]).all()
+    assert (run.steps["fallback"] == "none").all()
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+@pytest.mark.parametrize(("soc", "most"), [(0.3, 1.0), (0.15, 1.2)])
+def test_soft_ratings_give_way_to_the_feeder_itself_where_batteries_do_not_help(
+    mode: str, soc: float, most: float
+) -> None:
+    """Three customers of 2 kW behind 5 kVA; an empty battery would charge at the low price."""
+    day = two_buses([[2.0] * 3] * 4, [1.0, 0.9, 0.8], [OPEN] * 4, [0.1, 1.0, 1.0, 1.0])
+    i_max_a = kva_to_a(np.array([100.0, 5.0]), 11.0)
+    network = Network([1, 2], [2, 3], [0.01] * 2, [0.01] * 2, 1, base_kv=11.0, i_max_a=i_max_a)
+    batteries = replace(battery(40.0, 10.0, 10.0, soc=soc), bus=[3])
+    customers = replace(day.customers, bus=[3] * 3)
+    run = ran(replace(day, network=network, customers=customers, batteries=batteries), SOFT, mode)
+    assert run.customers["served"].all()
+    assert line_loading(run).max() == pytest.approx(most, abs=2e-3)
     assert (run.steps["fallback"] == "none").all()
 
 

@@ -60,9 +60,9 @@ class PhasedLinearisation:
         room = self.model.phase_kva(data, kept_kva)
         any_u = np.full_like(u, np.inf)
         none = np.zeros((data.n_steps, 2, u.shape[1]), dtype=bool)
-        any_current = np.full(currents.shape, np.inf)
+        any_current, no_own = np.full(currents.shape, np.inf), np.zeros(currents.shape)
         phased = PhasedWindow(
-            u, former, -any_u, any_u, room, none, 0.0 * former, currents, any_current
+            u, former, -any_u, any_u, room, none, 0.0 * former, currents, any_current, no_own
         )
         data = replace(data, phased=phased)
         p, q = self._without_control(data)
@@ -172,18 +172,25 @@ class PhasedLinearisation:
         return binding(self.model, self.model.limits_at(data, steps), np.min(room, axis=0))
 
     def _with_own_limits(self, data: WindowData) -> WindowData:
-        """Limits that give way to the voltages without control, and in an island to those at rest.
+        """Limits that give way to the feeder without control, of voltages in an island to rest.
 
         They are those of the window's own linearisation, so that this state is a dispatch of it.
-        Hard limits give way in islands alone.
+        Hard limits of voltages give way in islands alone.
         """
         phased = data.require_phased()
         net = self.model.site.feeder
-        own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
+        drawn = self._without_control(data)
+        own = phased.u_offset + self.model.linear(data, *drawn)[0]
         given = self.model.site.soft_voltages | data.in_island[:, self.model.at_bus]
         own = np.where(given, np.maximum(own, COLLAPSED_PU2), np.nan)
         low, high = np.fmin(net.v_min_pu**2, own), np.fmax(net.v_max_pu**2, own)
-        return replace(data, phased=replace(phased, u_min=low, u_max=high))
+        current = phased.current_own
+        if self.model.site.soft_ratings:
+            carried = loading_of_phases(self.model.site, data, *drawn)
+            islands = data.in_island.any(axis=1)  # of all or of a part
+            current = np.where(islands[:, None], 0.0, carried)
+        limits = replace(phased, u_min=low, u_max=high, current_own=current)
+        return replace(data, phased=limits)
 
     def v_pu(self, data: WindowData, p: Floats, q: Floats) -> Floats:
         """Voltages of the linear model, (W, m)."""

@@ -70,8 +70,9 @@ class RunOptions:
     voltage_limits : {"soft", "hard"} or None
         Whether voltage limits give way, with grid, to what the feeder has without control; None
         uses the scenario's.
-    ratings : {"limit", "report"} or None
-        Whether plans keep the currents of lines within their ratings; None uses the scenario's.
+    ratings : {"limit", "soft", "report"} or None
+        Whether plans keep the currents of lines within their ratings, or within those and what the
+        feeder carries without control; None uses the scenario's.
     headroom : float or None
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
         an island; None uses the scenario's.

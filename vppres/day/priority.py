@@ -24,8 +24,13 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     """
     soft = options.get("voltage_limits") == SOFT
     feeder = scenario.phases or scenario.network
-    rated = options.get("ratings") == LIMIT and feeder.has_ratings
-    site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)
+    ratings = options.get("ratings")
+    site = replace(
+        Site.of(scenario),
+        soft_voltages=soft,
+        rated=ratings in (LIMIT, SOFT) and feeder.has_ratings,
+        soft_ratings=ratings == SOFT and feeder.has_ratings,
+    )
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))
 

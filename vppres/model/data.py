@@ -77,6 +77,7 @@ class PhasedWindow:
     #: k).
     current_offset: Complexes
     current_max: Floats  #: their limits, (W, k); infinite where nothing limits them
+    current_own: Floats  #: what they are without control, where ratings give way to it, (W, k)
 
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""

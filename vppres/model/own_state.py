@@ -115,20 +115,29 @@ def u_without_sun_pu2(site: Site, data: WindowData) -> Floats:
 def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Floats]:
     """Voltages without exports, (W, N), import then in kW, (W,), PV power used and left, (W, P)."""
     net = site.network
-    load_kw = data.all_cold().load_kw
-    load_kvar = load_kw * site.customers.q_per_p
     own_kw, spare_kw = sun_used_and_left(site, data)
-    p_kw = bus_injections(site, {"pv": own_kw, "customers": -load_kw})
-    q_kvar = bus_injections(site, {"customers": -load_kvar})
-    taken = taken_by_network(site, data)
-    p_kw -= taken.kw
-    q_kvar -= taken.kvar
-    # What is behind a line that is out has its own balance.
-    p_kw, q_kvar = (np.where(data.parts.beyond, 0.0, each) for each in (p_kw, q_kvar))
+    p_kw, q_kvar = _injected(site, data, own_kw)
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
     return np.asarray(u), -p_kw.sum(axis=1), own_kw, spare_kw
+
+
+def _injected(site: Site, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
+    """Injections at the buses with all customers and so much PV power, in kW and kvar, (W, N)."""
+    load_kw = data.all_cold().load_kw
+    taken = taken_by_network(site, data)
+    p_kw = bus_injections(site, {"pv": pv_kw, "customers": -load_kw}) - taken.kw
+    q_kvar = bus_injections(site, {"customers": -load_kw * site.customers.q_per_p}) - taken.kvar
+    # What is behind a line that is out has its own balance.
+    p_kw, q_kvar = (np.where(data.parts.beyond, 0.0, each) for each in (p_kw, q_kvar))
+    return p_kw, q_kvar
+
+
+def flows_without_control(site: Site, data: WindowData) -> tuple[Floats, Floats]:
+    """Flows of all lines without control, in kW and kvar, (W, L)."""
+    p_kw, q_kvar = _injected(site, data, _own_state(site, data)[1])
+    return lossless_flows(site.network, p_kw), lossless_flows(site.network, q_kvar)
 
 
 def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.units import a_to_kva
 from vppres.model.data import WindowData
-from vppres.model.own_state import u_without_sun_pu2
+from vppres.model.own_state import flows_without_control, u_without_sun_pu2
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 
@@ -25,21 +25,29 @@ MOVED_SHARE = 0.05
 """Share of a rating by which losses and voltages of another pass may move a flow that kept it."""
 
 
-def with_ratings(site: Site, data: WindowData) -> WindowData:
+def with_ratings(site: Site, data: WindowData, give_way: bool = True) -> WindowData:
     """A window whose flows keep the currents of its lines within their ratings.
 
     A current is larger the lower the voltage: what counts is the voltage at the sending end with
     all customers supplied and no PV power, and in an island the lowest that plans allow. Currents
     of phases are linear themselves.
+
+    Soft ratings that may ``give_way`` are never less than the flows without control while the grid
+    is on.
     """
+    own_share = (1.0 + KEPT_SHARE) * (site.soft_ratings and give_way)
     if data.phased is not None:
-        most = np.full(data.phased.current_offset.shape, 1.0 - KEPT_SHARE)
+        most = np.maximum(1.0 - KEPT_SHARE, own_share * data.phased.current_own)
         return replace(data, phased=replace(data.phased, current_max=most))
     net = site.network
     v_pu = net.v_pu(u_without_sun_pu2(site, data))
     v_pu = np.where(data.dark[:, None], net.v_min_pu, v_pu)
     most_kva = a_to_kva(net.i_max_a, v_pu[:, net.parent] * net.base_kv)
-    return replace(data, flow_max_kva=(1.0 - KEPT_SHARE) * most_kva)
+    most_kva = (1.0 - KEPT_SHARE) * most_kva
+    if own_share:
+        own_kva = own_share * np.hypot(*flows_without_control(site, data))
+        most_kva = np.where(data.with_grid[:, 1:], np.maximum(most_kva, own_kva), most_kva)
+    return replace(data, flow_max_kva=most_kva)
 
 
 def with_ratings_given(site: Site, data: WindowData, to: Dispatch, share: float) -> WindowData:

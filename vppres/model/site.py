@@ -59,7 +59,8 @@ class Site(OfKinds):
 
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
     With ``soft_voltages`` the limits of the voltages give way, with grid, to what the feeder has
-    without control. With ``rated`` the currents of lines stay within their ratings.
+    without control. With ``rated`` the currents of lines stay within their ratings, which with
+    ``soft_ratings`` give way likewise.
 
     A site with ``phases`` has a ``network`` that is only the tree of its buses: its flows break
     ties, and no voltage of it is limited. The limits are those of ``feeder``.
@@ -74,6 +75,7 @@ class Site(OfKinds):
     ranks: Ranks | None = None
     soft_voltages: bool = False
     rated: bool = False
+    soft_ratings: bool = False
     phases: Phases = BALANCED
     limits_of: Network | None = None
 
@@ -149,6 +151,7 @@ class Site(OfKinds):
         more: list[Any] = [] if self.ranks is None else [self.ranks]
         more += self.kinds.values()
         rules = " soft" * self.soft_voltages + " rated" * self.rated
+        rules += " soft ratings" * self.soft_ratings
         if self.phases:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
         return f"{self.dt_h}{rules} " + content_key(

@@ -74,7 +74,8 @@ def _overloaded(
     scenario: Scenario, steps: Wholes, found: Sequence[ACResult | None]
 ) -> Iterator[str]:
     """Ratings that are exceeded where plans keep them, with the fullest place and its time."""
-    if scenario.controller.ratings != LIMIT:
+    soft = scenario.controller.ratings == SOFT
+    if not (soft or scenario.controller.ratings == LIMIT):
         return
     loadings = [(0.0, "") if one is None else _fullest(scenario, one) for one in found]
     most, where = max(loadings)
@@ -82,11 +83,16 @@ def _overloaded(
         return
     time = scenario.grid.times[steps[loadings.index((most, where))]].tz_convert(scenario.grid.zone)
     count = sum(share > 1.0 for share, _ in loadings)
+    result = (
+        "They give way to it where batteries do not help, and no customer is switched off for it"
+        if soft
+        else "Plans keep them where they can: customers are switched off for it with the grid on "
+        "where batteries do not help. Correct the ratings, or let them give way to it, with "
+        "ratings = soft"
+    )
     yield (
         f"Without control {where} carries {most:.0%} of its rating, {time:%Y-%m-%d %H:%M}: ratings "
-        f"are exceeded in {count} of {len(steps)} steps with grid. Plans keep them where they can: "
-        "customers are switched off for it with the grid on where batteries do not help. Correct "
-        "the ratings, or have loadings reported only, with ratings = report."
+        f"are exceeded in {count} of {len(steps)} steps with grid. {result}."
     )
 
 

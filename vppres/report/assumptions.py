@@ -15,7 +15,7 @@ from vppres.kinds.customer import record as customer
 from vppres.kinds.table import parts, units_of
 from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.priority import STRICT
-from vppres.scenario.scenario import LIMIT
+from vppres.scenario.scenario import LIMIT, SOFT
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,10 @@ def _order(options: Mapping[str, Any]) -> str:
 
 def _ratings(options: Mapping[str, Any]) -> str:
     """Meaning of line ratings in the plans."""
-    if options.get("ratings") == LIMIT and options.get("controller") not in RULES:
-        return "Plans keep the currents of lines within their ratings where a dispatch does."
+    ratings = options.get("ratings")
+    if ratings in (LIMIT, SOFT) and options.get("controller") not in RULES:
+        own = ", or what they are without control," if ratings == SOFT else ""
+        return f"Plans keep the currents of lines within their ratings{own} where a dispatch does."
     return "Line ratings are reported, not enforced."
 
 

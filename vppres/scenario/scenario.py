@@ -44,7 +44,8 @@ and DECC, 2013."""
 
 
 SOFT = "soft"
-"""Voltage limits that give way, with grid, to what the feeder has without control."""
+"""Limits of voltages or currents that give way, with grid, to what the feeder has without control.
+"""
 
 HARD = "hard"
 """Voltage limits that customers are switched off for."""

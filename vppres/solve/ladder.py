@@ -144,8 +144,43 @@ class WindowSolver:
             if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
                 break
             with suppress(SolveError):
-                return self._answer(tighter, limited, deadline).after(found)
-        return found
+                found = self._answer(tighter, limited, deadline).after(found)
+                break
+        return self._within_ratings(tighter, data, found, deadline)
+
+    def _within_ratings(
+        self, tighter: list[WindowData], data: WindowData, found: WindowSolution, deadline: Deadline
+    ) -> WindowSolution:
+        """The plan's supply within soft ratings as they are, if it has such a dispatch.
+
+        Without one in the widest limits of voltages there is none in tighter ones.
+        """
+        if not self.site.soft_ratings:
+            return found
+        limited = [with_ratings(self.site, each, give_way=False) for each in (data, *tighter)]
+        if not overloaded(self.site, limited[0], found.dispatch).any():
+            return found
+        best = None if deadline.passed else self._kept(limited[0], found, deadline)
+        if best is None:
+            return found
+        others = (self._kept(each, found, deadline) for each in limited[1:] if not deadline.passed)
+        return next((other for other in others if other is not None), best)
+
+    def _kept(
+        self, data: WindowData, found: WindowSolution, deadline: Deadline
+    ) -> WindowSolution | None:
+        """A solution with the cheapest dispatch of its supply in a window, None without one."""
+        limits = self.limits.at_most(deadline.left_s)
+        kept = self._served(data, limits, found.dispatch.served, found.dispatch)
+        if kept is None or _dims_more(kept.dispatch, found.dispatch, self.site):
+            return None
+        return replace(
+            found.after(kept),
+            dispatch=kept.dispatch,
+            terms=kept.terms,
+            loss_kw=kept.loss_kw,
+            stages=found.stages + kept.stages,
+        )
 
     def _answer(
         self, tighter: list[WindowData], data: WindowData, deadline: Deadline
@@ -166,16 +201,9 @@ class WindowSolver:
                 return found
             if deadline.passed and each is not data:
                 continue
-            limits = self.limits.at_most(deadline.left_s)
-            kept = self._served(each, limits, served, found.dispatch)
-            if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
-                return replace(
-                    found.after(kept),
-                    dispatch=kept.dispatch,
-                    terms=kept.terms,
-                    loss_kw=kept.loss_kw,
-                    stages=found.stages + kept.stages,
-                )
+            kept = self._kept(each, found, deadline)
+            if kept is not None:
+                return kept
         return found
 
     def _sooner(
@@ -281,12 +309,16 @@ class WindowSolver:
         found = task.solution()
         if has_ratings(data) or not self.site.rated:
             return found
-        limited = with_ratings(self.site, data)
-        if not overloaded(self.site, limited, found.dispatch).any():
+        # Soft ratings give way where the supply has no dispatch within them as they are.
+        for give_way in (False, True) if self.site.soft_ratings else (True,):
+            limited = with_ratings(self.site, data, give_way)
+            if not overloaded(self.site, limited, found.dispatch).any():
+                return found
+            kept = self._served(limited, limits, served)
+            if kept is not None:
+                return kept
+        if before is None:
             return found
-        kept = self._served(limited, limits, served)
-        if kept is not None or before is None:
-            return kept or found
         if not overloaded(self.site, limited, before, MOVED_SHARE).any():
             return None
         # A plan that exceeded ratings already has no set within them: they give way to it.

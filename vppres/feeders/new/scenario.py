@@ -44,7 +44,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
-from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
+from vppres.scenario.scenario import SOFT, ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
 
@@ -131,7 +131,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         tiers=tuple(assets.tiers),
         export_limit_kw=np.array(options.export_limit_kw),
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
-        controller=ControllerDefaults(mode="physical"),
+        controller=ControllerDefaults(mode="physical", ratings=SOFT),
         priority=Priority(STRICT),
         switching=SwitchingRules(min_served_h=LEAST_SERVED_H),
         phases=phases,
