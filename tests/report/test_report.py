@@ -31,8 +31,10 @@ from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
 from vppres.report.one_line import (
+    CORNER_PX,
     LEAN,
     LETTER_PX,
+    SLOT_PX,
     SwitchMark,
     drawing,
     step_states,
@@ -432,14 +434,29 @@ def test_switches_are_drawn_open_or_closed() -> None:
     run = replace(run, scenario=replace(run.scenario, switches=switches))
     drawn = drawing(run)
     at = {bus.name: (bus.x, bus.y) for bus in drawn.buses}
+    below = max(y for bus in drawn.buses for _, _, y in bus.symbols) + SLOT_PX
     assert drawn.switches == (
-        SwitchMark("T: tie, open", False, 3, (*at["3"], *at["4"])),
-        SwitchMark("S: breaker, closed, locked: repair", True, 0, (*at["1"], *at["2"])),
+        SwitchMark("T: tie, open", False, 3, (*at["3"], *at["4"]), below),
+        SwitchMark("S: breaker, closed, locked: repair", True, 0, (*at["1"], *at["2"]), below),
     )
     page = render_report(run, summarise(run))
     assert page.count('<g class="tie"><title>T: tie, open</title>') == 1
     assert page.count('<g class="switch"><title>S: breaker, closed, locked: repair</title>') == 1
     assert "open switch" in page and "closed switch" in page
+
+
+def test_a_tie_is_drawn_beside_the_buses_between_its_ends() -> None:
+    """Ends are bus 1 and bus 9 of a row, or of a column; other ties may cross what they must."""
+    for ends in ((40, 50, 440, 50), (440, 50, 40, 50), (40, 50, 40, 450), (40, 450, 40, 50)):
+        tie = SwitchMark("t", False, 9, ends, below=54)
+        _, *corners, _ = tie.path
+        assert {tie.path[0], tie.path[-1]} == {ends[:2], ends[2:]}
+        if ends[1] == ends[3]:
+            assert {y for _, y in corners} == {104} == {tie.middle[1]}
+            assert all(40 < x < 440 for x, _ in corners)
+        else:
+            assert {x for x, _ in corners} == {40 + CORNER_PX} == {tie.middle[0]}
+            assert all(50 < y < 450 for _, y in corners)
 
 
 def test_faults_are_drawn_where_they_are_and_named_with_their_times() -> None:

@@ -30,6 +30,9 @@ MARGIN_PX, TOP_PX, GRID_PX = 24, 20, 42
 WIDTH_PX, COLUMN_PX = 1000, (52, 172)
 """Width that a small feeder is spread over, and least and most px from a bus to the next."""
 
+CORNER_PX = 25
+"""Distance of a tie from the buses of its row or column, less than half of a column."""
+
 SLOT_PX = 20
 """Height of a row of symbols below a bus, two side by side."""
 
@@ -75,12 +78,37 @@ class BusMark:
 
 @dataclass(frozen=True)
 class SwitchMark:
-    """A switch in the drawing: what it is, its branch, and the places of its two buses."""
+    """A switch in the drawing: what it is, its branch, the places of its two buses, and its path.
+
+    ``below`` is the height of the symbols in the row of the first.
+    """
 
     words: str
     closed: bool
     branch: int
     ends: tuple[int, int, int, int]
+    below: int
+
+    @property
+    def path(self) -> tuple[tuple[int, int], ...]:
+        """Corners of a tie's path: beside the buses of its row or column, else bent a little."""
+        x1, y1, x2, y2 = self.ends
+        if y1 == y2:
+            side = CORNER_PX if x1 < x2 else -CORNER_PX
+            return (x1, y1), (x1 + side, y1 + self.below), (x2 - side, y2 + self.below), (x2, y2)
+        if x1 == x2:
+            side = CORNER_PX if y1 < y2 else -CORNER_PX
+            return (x1, y1), (x1 + CORNER_PX, y1 + side), (x2 + CORNER_PX, y2 - side), (x2, y2)
+        return (x1, y1), self.middle, (x2, y2)
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Where the mark of an open switch stands."""
+        x1, y1, x2, y2 = self.ends
+        x, y = (x1 + x2) // 2, (y1 + y2) // 2
+        if y1 == y2:
+            return x, y + self.below
+        return (x + CORNER_PX, y) if x1 == x2 else (x, y + 14)
 
 
 @dataclass(frozen=True)
@@ -145,7 +173,13 @@ def drawing(run: Trajectory) -> Drawing:
     ends = zip(net.parent, range(1, net.n_buses), strict=True)
     lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in ends)
     switches = tuple(
-        SwitchMark(words, closed, branch, (int(x[a]), int(y[a]), int(x[b]), int(y[b])))
+        SwitchMark(
+            words,
+            closed,
+            branch,
+            (int(x[a]), int(y[a]), int(x[b]), int(y[b])),
+            14 + SLOT_PX * int(deep[layout.row == layout.row[a]].max()),
+        )
         for words, closed, branch, a, b in _told_switches(Branches.of(day))
     )
     # On the last piece of a line, which no other line has.

@@ -102,11 +102,10 @@ def _named_places(
     drawn: Drawing, names: Sequence[str], moved: Iterable[int]
 ) -> Iterator[tuple[float, float, str]]:
     """Where the names of branches stand that move: at the middle of each."""
-    ties = {switch.branch: switch.ends for switch in drawn.switches if not switch.closed}
+    ties = {switch.branch: switch.middle for switch in drawn.switches if not switch.closed}
     for branch in moved:
         if branch in ties:
-            x1, y1, x2, y2 = ties[branch]
-            yield (x1 + x2) / 2, (y1 + y2) / 2 + 14, names[branch]
+            yield *ties[branch], names[branch]
         else:
             x1, _, x2, y2 = drawn.lines[branch]
             yield (x1 + x2) / 2, y2 - 12, names[branch]
