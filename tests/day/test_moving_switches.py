@@ -10,12 +10,14 @@ import pandas as pd
 import pytest
 
 from vppres import Controller, InputError, RunOptions, run_day
-from vppres.day.metrics import resilience
+from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
+from vppres.report.one_line import step_states
 from vppres.report.operating_order import shown_orders
+from vppres.report.run_folder import render_report
 from vppres.scenario.configuration import Branches, in_configuration
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
@@ -107,6 +109,29 @@ def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
     of_steps = reasons[reasons["item"] == "step"]["words"].tolist()
     assert of_steps[2].endswith(sentence)
     assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
+
+
+def test_the_report_draws_the_feeder_before_and_after_switches_move(tiny: Scenario) -> None:
+    """Bus 4 is cut off before, and has the grid over the tie after."""
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
+    run = run_day(day, MOVING)
+    page = render_report(run, summarise(run))
+    _, moment = page.split('<div class="moment">')
+    assert "<h3>19 Jul 12:00: closed 3-4, opened 2-4</h3>" in moment
+    assert "<p>Closing 3-4 serves 1 customer until 14:00.</p>" in moment
+    assert moment.index("<li>open 2-4") < moment.index("<li>close 3-4")
+    before, after = (each.split("</figure>")[0] for each in moment.split("<figcaption>")[1:3])
+    assert "Out of service: 2-4. 1 of 4 buses without the grid." in before
+    assert before.count('class="part p1"') == 1 and 'class="line l8 mv"' in before
+    assert "all buses with the grid, all customers supplied." in after
+    assert 'class="part p1"' not in after and 'class="line l8' not in after
+    for each in (before, after):
+        assert each.count('<g class="fault">') == 1
+        assert each.count('<text class="moved"') == 2
+    steps = step_states(run)
+    assert [row[3] for row in steps["line"]] == ["8", "8", *steps["line"][2][3] * 4]
+    assert {row[3] for row in steps["line"][2:]} <= set("012345")
 
 
 def test_words_tell_a_line_that_is_open_from_one_that_is_out(tiny: Scenario) -> None:

@@ -31,8 +31,10 @@ from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
 from vppres.report.one_line import (
+    CORNER_PX,
     LEAN,
     LETTER_PX,
+    SLOT_PX,
     SwitchMark,
     drawing,
     step_states,
@@ -432,14 +434,29 @@ def test_switches_are_drawn_open_or_closed() -> None:
     run = replace(run, scenario=replace(run.scenario, switches=switches))
     drawn = drawing(run)
     at = {bus.name: (bus.x, bus.y) for bus in drawn.buses}
+    below = max(y for bus in drawn.buses for _, _, y in bus.symbols) + SLOT_PX
     assert drawn.switches == (
-        SwitchMark("T: tie, open", False, (*at["3"], *at["4"])),
-        SwitchMark("S: breaker, closed, locked: repair", True, (*at["1"], *at["2"])),
+        SwitchMark("T: tie, open", False, 3, (*at["3"], *at["4"]), below),
+        SwitchMark("S: breaker, closed, locked: repair", True, 0, (*at["1"], *at["2"]), below),
     )
     page = render_report(run, summarise(run))
     assert page.count('<g class="tie"><title>T: tie, open</title>') == 1
     assert page.count('<g class="switch"><title>S: breaker, closed, locked: repair</title>') == 1
     assert "open switch" in page and "closed switch" in page
+
+
+def test_a_tie_is_drawn_beside_the_buses_between_its_ends() -> None:
+    """Ends are bus 1 and bus 9 of a row, or of a column; other ties may cross what they must."""
+    for ends in ((40, 50, 440, 50), (440, 50, 40, 50), (40, 50, 40, 450), (40, 450, 40, 50)):
+        tie = SwitchMark("t", False, 9, ends, below=54)
+        _, *corners, _ = tie.path
+        assert {tie.path[0], tie.path[-1]} == {ends[:2], ends[2:]}
+        if ends[1] == ends[3]:
+            assert {y for _, y in corners} == {104} == {tie.middle[1]}
+            assert all(40 < x < 440 for x, _ in corners)
+        else:
+            assert {x for x, _ in corners} == {40 + CORNER_PX} == {tie.middle[0]}
+            assert all(50 < y < 450 for _, y in corners)
 
 
 def test_faults_are_drawn_where_they_are_and_named_with_their_times() -> None:
@@ -467,6 +484,24 @@ def test_faults_are_drawn_where_they_are_and_named_with_their_times() -> None:
     page = render_report(run, summarise(run))
     assert page.count(f'<g class="fault"><title>{line.words}</title>') == 1
     assert f"Faults: {line.words}; {bus.words}." in page
+
+
+def test_open_ties_and_lines_that_are_out_have_classes_of_their_own() -> None:
+    """Bus 4 is behind a fault in step 2, alone with a battery or without."""
+    run = small_run()
+    day = run.scenario
+    tie = Switches(["T"], [4], [2], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
+    fault = LineFault(day.grid.times[2], day.grid.times[2] + day.grid.step, line=4)
+    run = replace(run, scenario=replace(day, faults=(fault,), switches=tie))
+    states = step_states(run)
+    assert [row[2:] for row in states["line"]] == ["08", "08", "98", "08"]
+    assert [row[3] for row in states["part"]] == ["0", "1", "4", "0"]
+    feeder = run.plot("feeder", time=day.grid.times[2])
+    assert {"open", "out of service"} <= {text.get_text() for text in feeder.get_legend().texts}
+    page = render_report(run, summarise(run))
+    moment = page[page.index('<div class="moment">') :]
+    assert "Out of service: 3-4.</p>" in moment
+    assert 0 < moment.index("<b>Before.</b>") < moment.index("<b>After.</b>")
 
 
 def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:

@@ -13,21 +13,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Wholes
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.day.configured import configurations_of
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import LINES_OUT, Trajectory, supplied
 from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
 from vppres.report.plots.drawing import CIVIDIS, coloured, shortened
 from vppres.report.tree_layout import tree_layout
-from vppres.scenario.network import BusId
+from vppres.scenario.configuration import Branches, blocks_of, out_of_branches
+from vppres.scenario.formers import formers_within
 from vppres.scenario.phases import PHASES
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.switches import Switches
 
 MARGIN_PX, TOP_PX, GRID_PX = 24, 20, 42
 WIDTH_PX, COLUMN_PX = 1000, (52, 172)
 """Width that a small feeder is spread over, and least and most px from a bus to the next."""
+
+CORNER_PX = 25
+"""Distance of a tie from the buses of its row or column, less than half of a column."""
 
 SLOT_PX = 20
 """Height of a row of symbols below a bus, two side by side."""
@@ -39,6 +43,10 @@ MAX_VOLTAGE_CLASSES = 8
 CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 OUT_OF_LIMITS = 9  # the class of voltages outside the AC limits
 OUT_OF_SERVICE = 9  # the class of lines that a fault takes out
+OPEN = 8  # the class of lines and ties that are open
+# Classes of buses by their part; the last are parts without grid beside that of the grid's bus.
+WITH_GRID, WITHOUT_GRID, NO_VOLTAGE, FORMER, APART = range(5)
+NOT_KNOWN = "n"  # where a digit is not known: there was no step
 LOADING_EDGES = (0.2, 0.4, 0.6, 0.8, 1.0)
 SERVED = 0
 PARTLY = 1
@@ -70,11 +78,37 @@ class BusMark:
 
 @dataclass(frozen=True)
 class SwitchMark:
-    """A switch in the drawing: what it is, and the places of its two buses."""
+    """A switch in the drawing: what it is, its branch, the places of its two buses, and its path.
+
+    ``below`` is the height of the symbols in the row of the first.
+    """
 
     words: str
     closed: bool
+    branch: int
     ends: tuple[int, int, int, int]
+    below: int
+
+    @property
+    def path(self) -> tuple[tuple[int, int], ...]:
+        """Corners of a tie's path: beside the buses of its row or column, else bent a little."""
+        x1, y1, x2, y2 = self.ends
+        if y1 == y2:
+            side = CORNER_PX if x1 < x2 else -CORNER_PX
+            return (x1, y1), (x1 + side, y1 + self.below), (x2 - side, y2 + self.below), (x2, y2)
+        if x1 == x2:
+            side = CORNER_PX if y1 < y2 else -CORNER_PX
+            return (x1, y1), (x1 + CORNER_PX, y1 + side), (x2 + CORNER_PX, y2 - side), (x2, y2)
+        return (x1, y1), self.middle, (x2, y2)
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Where the mark of an open switch stands."""
+        x1, y1, x2, y2 = self.ends
+        x, y = (x1 + x2) // 2, (y1 + y2) // 2
+        if y1 == y2:
+            return x, y + self.below
+        return (x + CORNER_PX, y) if x1 == x2 else (x, y + 14)
 
 
 @dataclass(frozen=True)
@@ -139,8 +173,14 @@ def drawing(run: Trajectory) -> Drawing:
     ends = zip(net.parent, range(1, net.n_buses), strict=True)
     lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in ends)
     switches = tuple(
-        SwitchMark(words, closed, (int(x[a]), int(y[a]), int(x[b]), int(y[b])))
-        for words, closed, a, b in _told_switches(day.switches, net.bus_index)
+        SwitchMark(
+            words,
+            closed,
+            branch,
+            (int(x[a]), int(y[a]), int(x[b]), int(y[b])),
+            14 + SLOT_PX * int(deep[layout.row == layout.row[a]].max()),
+        )
+        for words, closed, branch, a, b in _told_switches(Branches.of(day))
     )
     # On the last piece of a line, which no other line has.
     faults = tuple(
@@ -164,16 +204,75 @@ def _told_faults(day: Scenario, clock: Clock) -> Iterator[tuple[str, int, bool]]
         yield f"{name} out of service {' and '.join(times)}", *place
 
 
-def _told_switches(
-    switches: Switches, at: Mapping[BusId, int]
-) -> Iterator[tuple[str, bool, int, int]]:
-    """Kind and state of each switch in words, whether it is closed, and its buses."""
+def _told_switches(branches: Branches) -> Iterator[tuple[str, bool, int, int, int]]:
+    """Kind and state of each switch in words, whether it is closed, its branch, and its buses."""
+    switches, at = branches.switches, branches.network.bus_index
+    branch_of = {int(row): branch for branch, row in enumerate(branches.switch) if row >= 0}
     for i, name in enumerate(switches.id):
         state = "closed" if switches.closed[i] else "open"
         locked = f", locked: {switches.locked[i]}" if switches.locked[i] else ""
         first, last = sorted((at[switches.from_bus[i]], at[switches.to_bus[i]]))
         words = f"{name}: {switches.kind[i]}, {state}{locked}"
-        yield words, bool(switches.closed[i]), first, last
+        yield words, bool(switches.closed[i]), branch_of[i], first, last
+
+
+@dataclass(frozen=True, eq=False)
+class BranchStates:
+    """Which lines and ties are closed in the steps of a run, and which are out, (T, E) each."""
+
+    run: Trajectory
+    branches: Branches
+    closed: Flags
+    out: Flags
+
+    @classmethod
+    def of(cls, run: Trajectory) -> BranchStates:
+        """Those of a run."""
+        branches, n_steps = Branches.of(run.scenario), len(run.steps)
+        closed = configurations_of(run) or [branches.closed] * n_steps
+        out = out_of_branches(run.scenario.out_of_service(range(n_steps)), branches.ends)
+        return cls(run, branches, np.array(closed), out)
+
+    @property
+    def opens(self) -> list[bool]:
+        """Whether each branch is open in some step."""
+        return [not each.all() for each in self.closed.T]
+
+    def before(self, t: int) -> Flags:
+        """Branches that are closed before a step, (E,)."""
+        return self.closed[t - 1] if t else self.branches.closed
+
+    def parts_at(self, closed: Flags, t: int) -> tuple[Wholes, Wholes]:
+        """Block of each bus over closed branches in a step, and its class, (N,) each."""
+        blocks = blocks_of(self.branches.ends, closed, self.branches.network.n_buses)
+        assert blocks is not None  # a configuration has no loop
+        here, others = (WITH_GRID, WITHOUT_GRID)
+        if self.run.steps["outage"].iloc[t]:
+            here, others = (WITHOUT_GRID, APART)
+        return blocks, np.where(blocks == 0, here, others)
+
+    def parts(self, v: Floats) -> Wholes:
+        """Class of each bus by its part, (T, N): with grid, without, without voltage, or former."""
+        run, day = self.run, self.run.scenario
+        index = day.network.bus_index
+        at = np.array([index[bus] for bus in day.batteries.bus], dtype=int)
+        soc = np.vstack([day.batteries.soc_initial, run.by_step("batteries", "soc_end")])
+        alone = run.options.get("mode") == "physical"
+        found = np.full(v.shape, WITH_GRID)
+        for t in range(len(found)):
+            blocks, found[t] = self.parts_at(self.closed[t] & ~self.out[t], t)
+            without = found[t] != WITH_GRID
+            live = np.nan_to_num(v[t]) > 0
+            found[t, without & ~live] = NO_VOLTAGE
+            charged = day.batteries.holds_energy(soc[t])
+            for block in np.unique(blocks[without & live]):
+                if block or alone:
+                    forms = formers_within(day, blocks[at] == block) & charged
+                    found[t, at[forms]] = FORMER
+            for kind, forms in run.forms(t).items():
+                buses = getattr(day, kind).buses(day.customers)[forms]
+                found[t, [i for bus in buses if without[i := index[bus]]]] = FORMER
+        return found
 
 
 def voltage_edges(run: Trajectory) -> Floats:
@@ -219,10 +318,11 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     Returns
     -------
     dict
-        One entry per step in each: ``bus``, ``tile`` and ``line``, a digit for the class of each
-        bus's voltage and service and each line's loading; ``v``, voltages in 0.0001 pu (None where
-        there is none); ``served``, a digit, and ``kw``, the demand of each customer; ``amps``;
-        ``soc``, per cent per battery; ``time`` and ``info`` in words; ``outage``. And once:
+        One entry per step in each: ``bus``, ``tile``, ``line`` and ``part``, a digit for the class
+        of each bus's voltage and service, each line's loading and each bus's part; ``v``, voltages
+        in 0.0001 pu (None where there is none); ``served``, a digit, and ``kw``, the demand of each
+        customer; ``amps``; ``soc``, per cent per battery; ``time`` and ``info`` in words;
+        ``outage``. And once:
         ``start``, the step to show first.
     """
     v = run.by_step("buses", "v_ac_pu")
@@ -240,21 +340,20 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "bus": _digits(voltage_classes(run, v)),
         "tile": _digits(np.where(got >= total, SERVED, np.where(got > 0, PARTLY, NOT_SERVED))),
         "line": _digits(loading_classes(run)),
+        "part": _digits(BranchStates.of(run).parts(v)),
         "served": _digits(served.astype(int)),
         "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
-        "amps": line_current_a(run)[:, : run.scenario.network.n_lines].round(1).tolist(),
+        "amps": _of_branches(run, line_current_a(run)).round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
 
 def loading_classes(run: Trajectory) -> Wholes:
-    """Class of each line's loading, shape (T, L): the number of edges that it has reached.
+    """Class of each branch's loading, shape (T, E): the number of edges that it has reached.
 
-    Ties are not drawn.
-
-    Without any ratings the current is taken as a share of the largest of the run. Lines that are
-    out of service have a class of their own.
+    Without any ratings the current is taken as a share of the largest of the run. Branches that are
+    open or out of service have classes of their own.
     """
     if run.scenario.network.has_ratings:
         loading = np.nan_to_num(line_loading(run))
@@ -262,10 +361,15 @@ def loading_classes(run: Trajectory) -> Wholes:
         current = line_current_a(run)
         # The largest current itself stays below the class of overloads.
         loading = 0.999 * current / max(float(current.max()), 1e-9)
-    day = run.scenario
-    out = day.out_of_service(range(day.grid.n_steps)).lines
-    classes = np.digitize(loading[:, : day.network.n_lines], LOADING_EDGES)
-    return np.where(out, OUT_OF_SERVICE, classes)
+    states = BranchStates.of(run)
+    classes = np.digitize(_of_branches(run, loading), LOADING_EDGES)
+    return np.where(states.out, OUT_OF_SERVICE, np.where(states.closed, classes, OPEN))
+
+
+def _of_branches(run: Trajectory, values: Floats) -> Floats:
+    """Values of lines, (T, L), with nothing on the ties of a run that moves no switches, (T, E)."""
+    missing = len(Branches.of(run.scenario)) - values.shape[1]
+    return np.pad(values, ((0, 0), (0, missing)))
 
 
 def voltage_classes(run: Trajectory, v: Floats) -> Wholes:

@@ -29,7 +29,9 @@ from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS
 from vppres.report.key_figures import KEY_FIGURES
 from vppres.report.one_line import (
+    OPEN,
     OUT_OF_LIMITS,
+    OUT_OF_SERVICE,
     loading_classes,
     voltage_classes,
     voltage_colours,
@@ -55,6 +57,7 @@ from vppres.report.plots.drawing import (
     shortened,
 )
 from vppres.report.tree_layout import tree_layout
+from vppres.scenario.configuration import Branches
 from vppres.scenario.scenario import Scenario
 
 _SMALL = 8.0
@@ -301,19 +304,25 @@ def feeder(
     x, y = layout.column.astype(float), -layout.row.astype(float)
     ax = _axes(ax, (min(16.0, 3.0 + 0.45 * x.max()), min(10.0, 2.0 + 0.8 * (1.0 - y.min()))))
     ax.grid(False)
-    widths = np.full(net.n_lines, _LINE_WIDTHS[1])
+    branches = Branches.of(site)
+    classes = np.where(branches.closed, 1, OPEN)
     colours: list[str] | str = WHITE
     off = np.zeros(len(site.customers), dtype=bool)
     if isinstance(shown, Trajectory):
         t = worst_step(shown) if time is None else shown.step_at(time)
-        widths = np.array(_LINE_WIDTHS)[loading_classes(shown)[t]]
+        classes = loading_classes(shown)[t]
         colours = _voltage_colours(shown, t, ax)
         off = ~shown.by_step("customers", "served")[t].astype(bool)
         local = site.grid.local(pd.Timestamp(shown.steps["time"].iloc[t]))
         ax.set_title(f"{local:%d %b %Y %H:%M} ({site.grid.zone})", fontsize=10)
-    for line, (start, end) in enumerate(zip(net.parent, range(1, net.n_buses), strict=True)):
+    for branch, (start, end) in enumerate(branches.ends):
+        is_line = branch < net.n_lines
         corner = ([x[start], x[start], x[end]], [y[start], y[end], y[end]])
-        ax.plot(*corner, color=GREY, linewidth=widths[line], zorder=1, solid_capstyle="round")
+        path = corner if is_line else ([x[start], x[end]], [y[start], y[end]])
+        _branch(ax, path, int(classes[branch]))
+    for look, words in ((OPEN, "open"), (OUT_OF_SERVICE, "out of service")):
+        if look in classes:
+            _branch(ax, ([], []), look, words)
     ax.scatter(x, y, s=46, c=colours, edgecolors=BLACK, linewidths=0.8, zorder=3)
     ax.scatter(x[:1], y[:1], s=90, marker="D", color=BLACK, zorder=4, label="grid connection")
     _devices(site, off, _Marks(x, y, ax))
@@ -600,6 +609,19 @@ def _service(run: Trajectory, ax: Axes) -> None:
     ax.set_ylabel("Customers\nsupplied (%)")
     ax.set_ylim(-5.0, 108.0)
     finish(ax, run)
+
+
+def _branch(ax: Axes, path: tuple[Any, Any], look: int, label: str = "_") -> None:
+    """A line or tie in the class of its loading; what is out is crossed."""
+    width = _LINE_WIDTHS[look] if look < len(_LINE_WIDTHS) else _LINE_WIDTHS[0]
+    style: dict[str, Any] = {"color": GREY, "linewidth": width, "solid_capstyle": "round"}
+    if look in (OPEN, OUT_OF_SERVICE):
+        style["linestyle"] = (0, (4.0, 3.0))
+    if look == OUT_OF_SERVICE:
+        style["color"] = VERMILLION
+        x, y = (np.mean(values[-2:]) if len(values) else np.nan for values in path)
+        ax.scatter(x, y, s=60, marker="x", color=VERMILLION, linewidths=2.0, zorder=4)
+    ax.plot(*path, zorder=1, label=label, **style)
 
 
 def _voltage_colours(run: Trajectory, t: int, ax: Axes) -> list[str]:

@@ -2,23 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS
+from vppres.report.moments import moments_of
 from vppres.report.one_line import (
+    APART,
+    FORMER,
     LOADING_EDGES,
+    NO_VOLTAGE,
+    WITHOUT_GRID,
+    BranchStates,
+    Drawing,
     drawing,
     step_states,
     voltage_colours,
     voltage_edges,
 )
 from vppres.report.sections.base import Run, Section, section
+from vppres.scenario.configuration import Branches
 
 SIGNS = {name: kind.sign for name, kind in KINDS.items()}
 """Signs of devices beside those that every feeder has, in words."""
+
+PARTS = {
+    WITHOUT_GRID: "without the grid",
+    APART: "another part without the grid",
+    NO_VOLTAGE: "without voltage",
+    FORMER: "forms the grid of its part",
+}
+"""Parts of the feeder, in words."""
+
+LOOK = ("bus", "tile", "line", "part", "soc")
+"""What the drawing shows of a step."""
 
 EN_DASH = "\N{EN DASH}"
 
@@ -32,14 +52,25 @@ def feeder_section(run: Run) -> Section:
     customers = [
         f"{name} ({tier})" for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
     ]
-    ends = [f"{a} to {b}" for a, b in zip(day.network.from_bus, day.network.to_bus, strict=True)]
+    branches = Branches.of(day)
+    ends = [f"{a} to {b}" for a, b in zip(branches.from_bus, branches.to_bus, strict=True)]
+    moments = moments_of(run.trajectory, states)
+    befores = [moment.before.part for moment in moments.shown]
+    shown = [*states["part"], *befores]
     return section(
         "feeder",
         "The feeder",
         {
             "drawing": drawn,
             "start": states["start"],
+            "moments": moments,
+            "names": branches.names,
+            "opens": BranchStates.of(run.trajectory).opens,
             "states": states,
+            "look": {name: states[name][states["start"]] for name in LOOK},
+            "label_px": max(14, drawn.width // 50),
+            "parts": {i: words for i, words in PARTS.items() if str(i) in "".join(shown)},
+            "named_places": lambda look: _named_places(drawn, branches.names, look.moved),
             "colours": voltage_colours(len(voltages)),
             "voltages": voltages,
             "loadings": _loading_words(run.trajectory),
@@ -54,7 +85,7 @@ def feeder_section(run: Run) -> Section:
                 "lines": ends,
                 "ratings": [
                     round(rating, 1) if np.isfinite(rating) else None
-                    for rating in run.trajectory.scenario.network.i_max_a.tolist()
+                    for rating in branches.rating_a.tolist()
                 ],
                 "batteries": day.batteries.id.tolist(),
                 "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
@@ -65,6 +96,19 @@ def feeder_section(run: Run) -> Section:
             },
         },
     )
+
+
+def _named_places(
+    drawn: Drawing, names: Sequence[str], moved: Iterable[int]
+) -> Iterator[tuple[float, float, str]]:
+    """Where the names of branches stand that move: at the middle of each."""
+    ties = {switch.branch: switch.middle for switch in drawn.switches if not switch.closed}
+    for branch in moved:
+        if branch in ties:
+            yield *ties[branch], names[branch]
+        else:
+            x1, _, x2, y2 = drawn.lines[branch]
+            yield (x1 + x2) / 2, y2 - 12, names[branch]
 
 
 def _loading_words(run: Trajectory) -> list[str]:

@@ -5,7 +5,7 @@
   const slider = document.getElementById("step-slider"), svg = document.getElementById("one-line");
   const words = document.getElementById("step-words"), pointed = document.getElementById("bus-words");
   const all = (name) => [...svg.querySelectorAll("[data-" + name + "]")];
-  const circles = all("voltage"), tiles = all("bus"), lines = all("line"), levels = all("battery");
+  const parts = all("part"), circles = all("voltage"), tiles = all("bus"), lines = all("line"), levels = all("battery");
   const last = data.time.length - 1;
 
   function setClass(element, prefix, digit) {
@@ -14,7 +14,8 @@
   }
 
   function lineWords(line, step) {
-    if (data.line[step][line] === "9") { return data.lines[line] + ": out of service"; }
+    const state = { 8: "open", 9: "out of service" }[data.line[step][line]];
+    if (state) { return data.lines[line] + ": " + state; }
     const amps = data.amps[step][line], rating = data.ratings[line];
     return data.lines[line] + ": " + amps + " A"
       + (rating === null ? "" : ", " + Math.round(100 * amps / rating) + "% of " + rating + " A");
@@ -30,7 +31,8 @@
 
   function busWords(bus, step) {
     const { connected } = data.buses[bus];
-    return [voltageWords(bus, step),
+    const part = [[], ["without the grid"], ["without the grid"], ["forms the grid of its part"], ["without the grid"]];
+    return [voltageWords(bus, step), ...part[data.part[step][bus]],
       ...connected.customers.map((c) => customerWords(c, step)),
       ...connected.batteries.map((b) => "battery " + data.batteries[b] + " at " + data.soc[step][b] + "%"),
       ...Object.entries(data.devices).flatMap(([kind, names]) => connected[kind].map((i) => names[i]))];
@@ -61,6 +63,7 @@
       setClass(circle, "v", data.bus[step][Number(circle.dataset.voltage)]);
       circle.firstElementChild.textContent = busWords(Number(circle.dataset.voltage), step).join("\n");
     });
+    parts.forEach((part) => setClass(part, "p", data.part[step][Number(part.dataset.part)]));
     tiles.forEach((tile) => setClass(tile, "s", data.tile[step][Number(tile.dataset.bus)]));
     lines.forEach((line) => {
       setClass(line, "l", data.line[step][Number(line.dataset.line)]);
