@@ -43,7 +43,7 @@ from vppres.scenario.configuration import (
 )
 from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import Scenario
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import LEAST_OBJECTIVE, SolveLimits, Status
 
@@ -173,8 +173,10 @@ class Switching:
         """The decision in the configuration that is best, and the operations that it takes."""
         here = self._in(self.closed)
         before = self._memory(here)
-        stay = here.decider.decide(self._seen(here, observation))
-        self.last = search = self._searched(observation, here, stay, before)
+        deadline = Deadline(self.limits.time_s)
+        half = replace(observation, within_s=HALF * self.limits.time_s)
+        stay = here.decider.decide(self._seen(here, half))
+        self.last = search = self._searched(observation, here, stay, before, deadline)
         found, switched = search.best, search.record
         if found is search.stay:
             return replace(search.certified(), switched=switched)
@@ -233,6 +235,7 @@ class Switching:
         here: ControllerIn,
         stay: Decision,
         before: dict[str, Any],
+        deadline: Deadline,
     ) -> Search:
         """The search for a configuration that is worth more than the present one."""
         forecast = observation.forecast
@@ -246,26 +249,29 @@ class Switching:
             self.day.network.n_buses,
         )
         present = planned_of(Reached(reach, self.closed), stay, {})
-        search = Search(self, observation, present, before, self.limits)
+        search = Search(self, observation, present, before, self.limits, deadline)
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
         whole = replace(observation, forecast=replace(forecast, out=forecast.out.repaired()))
-        if search.passes_over(bound := self.bound(here, whole, search.deadline.left_s)):
+        search.most = bound = self.bound(here, whole, deadline.left_s)
+        if search.passes_over(bound):
             return search.ended(NO_SWITCH)
+        search.know(np.zeros_like(present.candidate.parts), bound)
         joins_all = present.candidate.n_parts == reach.n_joined
         faulted = forecast.out.lines.any()
         if faulted and joins_all:
-            bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
+            bound = self.bound(here, self._seen(here, observation), deadline.left_s)
         if not faulted or joins_all:
-            search.know(present.candidate, bound)
+            search.know(present.candidate.parts, bound)
         return search.run(reach)
 
     def planned_in(
-        self, observation: Observation, candidate: Reached, before: dict[str, Any]
+        self, observation: Observation, candidate: Reached, before: dict[str, Any], within_s: float
     ) -> Planned | None:
-        """The plan in a configuration, None if it has none."""
+        """The plan in a configuration within some seconds, None if it has none."""
         part = self._in(candidate.closed)
+        observation = replace(observation, within_s=within_s)
         self._remember(part, before)
         try:
             decision = part.decider.decide(self._seen(part, observation))
@@ -460,7 +466,9 @@ class Search:
     before : dict
         Memory of its controller before the step.
     limits : SolveLimits
-        Gap and time.
+        Gap.
+    deadline : Deadline
+        When the step must be decided.
     """
 
     def __init__(
@@ -470,17 +478,20 @@ class Search:
         stay: Planned,
         before: dict[str, Any],
         limits: SolveLimits,
+        deadline: Deadline,
     ) -> None:
         self.stay = self.best = stay
         self.record = Switched(of.closed)
         self.bound = stay.decision.info.bound
-        self.deadline = Deadline(limits.time_s)
+        self.most = np.inf
+        self.deadline = deadline
         self._of = of
         self._observation = observation
         self._before = before
         self._limits = limits
         self._sources = of.sources_before(observation)
         self._known: list[tuple[Wholes, float]] = []
+        self._last_plan_s = 0.0
 
     @property
     def _gap(self) -> float:
@@ -495,9 +506,9 @@ class Search:
         self.record = replace(self.record, why=why)
         return self
 
-    def know(self, candidate: Reached, bound: float) -> None:
-        """Remember a bound without network of all that cut the feeder as a configuration does."""
-        self._known.append((candidate.parts, bound))
+    def know(self, parts: Wholes, bound: float) -> None:
+        """Remember a bound without network of all that cut the feeder in a way."""
+        self._known.append((parts, bound))
 
     def run(self, reach: Candidates) -> Search:
         """Bound each way of cutting the feeder, and plan what may be worth more."""
@@ -513,7 +524,7 @@ class Search:
         why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
         self.record = replace(self.record, configurations=len(reach.found), why=why)
         if not complete:
-            self.bound = np.inf
+            self.bound = self.most
         return self
 
     def _nothing_joined_is_better(self, reach: Candidates) -> bool:
@@ -534,8 +545,9 @@ class Search:
         bound = min((most for parts, most in self._known if group[0].within(parts)), default=np.inf)
         if not self.beaten(bound - price):
             part = group[0]
-            bound = min(bound, self._of.bound_in(self._observation, part, self.deadline.left_s))
-            self.know(part, bound)
+            if not any(np.array_equal(part.parts, parts) for parts, _ in self._known):
+                bound = min(bound, self._of.bound_in(self._observation, part, self.deadline.left_s))
+                self.know(part.parts, bound)
             self.record = replace(self.record, bounded=self.record.bounded + 1)
         of_trees = -np.inf
         for way in group:
@@ -543,9 +555,12 @@ class Search:
                 break
             if not self._of.may_be_joined(way, self._sources):
                 continue
-            if self.deadline.passed:
+            left_s = self.deadline.left_s
+            if left_s <= self._last_plan_s:  # the next would hardly end in time
                 return False
-            planned = self._of.planned_in(self._observation, way, self._before)
+            watch = Stopwatch()
+            planned = self._of.planned_in(self._observation, way, self._before, left_s)
+            self._last_plan_s = watch.spent_s
             self.record = replace(self.record, planned=self.record.planned + 1)
             if planned is not None:
                 of_trees = max(of_trees, planned.bound)
@@ -567,8 +582,7 @@ class Search:
         decision, price = self.best.decision, self.best.candidate.price
         info = decision.info
         if self.record.why != ALL_SERVED:
-            solve_s = self.stay.decision.info.solve_s + self.deadline.spent_s
-            info = replace(info, solve_s=solve_s)
+            info = replace(info, solve_s=self.deadline.spent_s)
         bound = max(info.bound, self.bound + price)
         if bound > info.bound and np.isfinite(info.objective):
             gap = max(bound - info.objective, 0.0)

@@ -182,7 +182,7 @@ class InNetwork:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
         First by the LP relaxation of the fleet, then, if that may close the gap, by that with the
-        rows of the network. Where parts tell batteries apart, the first takes longer than the other.
+        rows of the network. Where parts tell batteries apart, the first takes longer.
         """
         known = self.task.certificate
         unit = self.master.unit

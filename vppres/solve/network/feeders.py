@@ -125,9 +125,7 @@ class Feeders:
         raised = bound - BOUND_OFF - least
         return Found(places, served, raised if raised > 0.0 else 0.0)
 
-    def _own(
-        self, columns: Wholes, rows: Wholes, binary: Flags, most_lost: float
-    ) -> Program:
+    def _own(self, columns: Wholes, rows: Wholes, binary: Flags, most_lost: float) -> Program:
         """A feeder's problem; binaries that would cost too much to change are decided."""
         lower = self.program.x_lower[columns].copy()
         upper = self.program.x_upper[columns].copy()

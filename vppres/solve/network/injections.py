@@ -138,7 +138,7 @@ class Injections:
         self._place = np.where(inside, np.cumsum(inside) - 1, -1)
 
     def _of_parts(self, injected: ColumnPowers) -> list[Rows]:
-        """Balances of the parts beside that with the grid's bus: it has what is left of the sums."""
+        """Balances of all parts but the grid's, which has what is left of the sums."""
         of_bus = self.data.parts.of_bus
         steps, buses = np.nonzero(of_bus)
         if not len(steps):

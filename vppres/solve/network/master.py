@@ -120,13 +120,14 @@ class NetworkMaster:
 
     @cached_property
     def least_curtailed_kwh(self) -> float:
-        """Least PV energy that a cut feeder curtails, whoever is supplied: all that of dead parts.
+        """Least PV energy that a cut feeder curtails with any schedule: all that of dead parts.
 
-        Service is searched as if it were free. In a feeder in one piece that is true but at noon.
+        Service is searched as if curtailment were free, and a feeder in one piece seldom needs any.
         """
         if self.data.parts.whole:
             return 0.0
-        program = self.network.with_cost(self.model.at("P_curt").ravel(), self.site.dt_h)
+        columns = self.model.at("P_curt").ravel()
+        program = self.network.with_cost(columns, np.full(len(columns), self.site.dt_h))
         found = ProgramSolution.of(self.network.loaded(program), self.deadline)
         return max(found.bound, 0.0) if found.status == Status.OPTIMAL else 0.0
 
