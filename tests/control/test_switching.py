@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from benchmarks.cut_feeders import CASES, decided
 from tests.support.switched import best_by_trying, has_loop, switched_day
 from vppres import RunOptions, run_day
 from vppres.control.switching import Switching
@@ -14,6 +17,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.configured import configurations_of
 from vppres.day.simulate import Day
 from vppres.scenario.configuration import Branches, blocks_of, in_configuration
+from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
 
 MOVING = RunOptions(mode="paper", horizon_h=3.0, isolate=False, move_switches=True)
@@ -78,3 +82,44 @@ def test_no_loop_and_no_two_live_parts_joined(seed: int, mode: str) -> None:
             a, b = branches.ends[branch]
             if live[a] and live[b] and joined[a] != joined[b]:
                 assert source[a] == source[b]
+
+
+def test_a_search_that_leaves_configurations_out_has_a_bound() -> None:
+    """Most that a feeder in one piece serves holds for those that were not looked at."""
+    day = switched_day(5)
+    options = MOVING.on(day)
+    decider = make_controller(day, options)
+    assert isinstance(decider, Switching)
+    seen = Day(day, options).observe(decider, 0)
+    best, _ = best_by_trying(day, options, seen)
+    with patch("vppres.control.candidates.MOST_TRIED", 0):
+        decision = decider.decide(seen)
+    assert decision.info.objective < best
+    assert best - 1e-6 <= decision.info.bound < np.inf
+
+
+def test_all_plans_of_a_step_share_its_time() -> None:
+    day = switched_day(5)
+    options = MOVING.on(day)
+    decider = make_controller(day, options)
+    limit_s = options.limits.time_s
+    asked: list[float] = []
+    solve = WindowSolver.solve
+
+    def noted(solver: WindowSolver, data: Any, within_s: float) -> Any:
+        asked.append(within_s)
+        return solve(solver, data, within_s)
+
+    with patch.object(WindowSolver, "solve", noted):
+        decider.decide(Day(day, options).observe(decider, 0))
+    assert asked[0] == 0.5 * limit_s
+    assert len(asked) > 1
+    assert all(within_s < limit_s for within_s in asked[1:])
+
+
+@pytest.mark.daily
+def test_switches_of_a_feeder_of_a_thousand_buses_move_with_a_bound() -> None:
+    decision = decided(next(each for each in CASES if each.name == "20 switches"))
+    assert decision.switched is not None
+    assert decision.switched.moved == "closed tie 14-0, 27, opened 6-7"
+    assert decision.info.gap < 1e-3

@@ -92,7 +92,7 @@ def test_cuts_leave_every_set_that_is_carried(
     large = master()
     root = -large.root[1].value
     assert large.carries(best)
-    cuts = ServiceCuts(large.units)
+    cuts = ServiceCuts(large.units, large.able)
     assert large._cut(large.root[1], cuts) == pytest.approx(root)
     large._by_feeders(cuts, Deadline(TIME_S))
     assert usual.value - 1e-2 <= cuts.first <= root - taken + 1e-5
@@ -154,7 +154,7 @@ def test_sets_of_so_many_units_by_hand() -> None:
     The search of the feeder of the first two takes 1.5 units, and their absence is no loss before
     that. None has 7 units, since one absence more than the two of 6 units would be needed.
     """
-    cuts = ServiceCuts(np.array([3.0, 2.0, 2.0, 1.0]))
+    cuts = ServiceCuts(np.array([3.0, 2.0, 2.0, 1.0]), np.ones(4))
     cuts.add(np.full(4, -0.4), 8.0 - 4 * 0.4)
     assert cuts.first == pytest.approx(8.0, abs=1e-5)
     cuts.lower(np.array([1.5, 1.5, 0.0, 0.0]), 1.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import inf
 
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.forecast import Forecast
@@ -91,6 +92,8 @@ class Observation:
     #: Lines and ties that are closed, (E,), where switches may have been moved by others; as the
     #: controller left them if not given.
     closed: Flags | None = None
+    #: Time in s that a plan of it may take, where that is less than the limit of a window.
+    within_s: float = inf
 
     def counted(self, times: float) -> Observation:
         """Copy in which a weighted customer hour of an outage counts as so many."""

@@ -95,7 +95,7 @@ class ConvergedPlanner:
         whole, dark, start = self.begun(observation, n_steps)
         if self.passes == 0:
             return self._finished(whole, dark, start, self.solver.solve(start))
-        deadline = Deadline(min(self.solver.limits.time_s, within_s))
+        deadline = Deadline(min(self.solver.limits.time_s, within_s, observation.within_s))
         first = deadline.part(FIRST_SHARE)
         t0 = observation.t0
         try:

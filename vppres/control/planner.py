@@ -81,7 +81,8 @@ class OnePass:
     def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
         """Solution of the observed window, or of its first steps."""
         data = WindowData.of(observation, self.solver.site, self.centre)
-        return self.solver.solve(data if n_steps is None else data.first(n_steps))
+        window = data if n_steps is None else data.first(n_steps)
+        return self.solver.solve(window, observation.within_s)
 
 
 def solve_info(

@@ -36,7 +36,7 @@ from vppres.model.site import Site
 from vppres.scenario.configuration import blocks_of, out_of_branches
 from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import Scenario
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import LEAST_OBJECTIVE, SolveLimits, Status
 
@@ -128,9 +128,11 @@ class Switching(InConfiguration):
         observation = self.observed(observation)
         here = self.controller_in(self.closed)
         before = self.memory_in(here)
-        stay = here.decider.decide(self.seen_in(here, observation))
+        deadline = Deadline(self.limits.time_s)
+        half = replace(observation, within_s=HALF * self.limits.time_s)
+        stay = here.decider.decide(self.seen_in(here, half))
         observation = _known(observation, stay)
-        self.last = search = self._searched(observation, here, stay, before)
+        self.last = search = self._searched(observation, here, stay, before, deadline)
         self._out = observation.forecast.out.part(slice(1))
         return self.taken(search, observation.t0)
 
@@ -188,6 +190,7 @@ class Switching(InConfiguration):
         here: ControllerIn,
         stay: Decision,
         before: dict[str, Any],
+        deadline: Deadline,
     ) -> Search:
         """The search for a configuration that is worth more than the present one."""
         forecast = observation.forecast
@@ -202,26 +205,29 @@ class Switching(InConfiguration):
         )
         present = planned_of(Reached(reach, self.closed), stay, {})
         begin = self.begin(observation, stay)
-        search = Search(self, observation, present, before, begin, self.limits)
+        search = Search(self, observation, present, before, begin, self.limits, deadline)
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
         whole = replace(observation, forecast=replace(forecast, out=forecast.out.repaired()))
-        if search.passes_over(bound := self.bound(here, whole, search.deadline.left_s)):
+        search.most = bound = self.bound(here, whole, deadline.left_s)
+        if search.passes_over(bound):
             return search.ended(NO_SWITCH)
+        search.know(np.zeros_like(present.candidate.parts), bound)
         joins_all = present.candidate.n_parts == reach.n_joined
         faulted = forecast.out.lines.any()
         if faulted and joins_all:
-            bound = self.bound(here, self.seen_in(here, observation), search.deadline.left_s)
+            bound = self.bound(here, self.seen_in(here, observation), deadline.left_s)
         if not faulted or joins_all:
-            search.know(present.candidate, bound)
+            search.know(present.candidate.parts, bound)
         return search.run(reach)
 
     def planned_in(
-        self, observation: Observation, candidate: Reached, before: dict[str, Any]
+        self, observation: Observation, candidate: Reached, before: dict[str, Any], within_s: float
     ) -> Planned | None:
-        """The plan in a configuration, None if it has none."""
+        """The plan in a configuration within some seconds, None if it has none."""
         part = self.controller_in(candidate.closed)
+        observation = replace(observation, within_s=within_s)
         self.remember_in(part, before)
         try:
             decision = part.decider.decide(self.seen_in(part, observation))
@@ -401,7 +407,9 @@ class Search:
     begin : Begin
         State from which operations begin.
     limits : SolveLimits
-        Gap and time.
+        Gap.
+    deadline : Deadline
+        When the step must be decided.
     """
 
     def __init__(
@@ -412,11 +420,13 @@ class Search:
         before: dict[str, Any],
         begin: Begin,
         limits: SolveLimits,
+        deadline: Deadline,
     ) -> None:
         self.stay = self.best = stay
         self.record = Switched(of.closed)
         self.bound = stay.decision.info.bound
-        self.deadline = Deadline(limits.time_s)
+        self.most = np.inf
+        self.deadline = deadline
         self._of = of
         self._observation = observation
         self._before = before
@@ -424,6 +434,7 @@ class Search:
         self._begin = begin
         self._sources = of.sources(begin)
         self._known: list[tuple[Wholes, float]] = []
+        self._last_plan_s = 0.0
 
     @property
     def _gap(self) -> float:
@@ -438,9 +449,9 @@ class Search:
         self.record = replace(self.record, why=why)
         return self
 
-    def know(self, candidate: Reached, bound: float) -> None:
-        """Remember a bound without network of all that cut the feeder as a configuration does."""
-        self._known.append((candidate.parts, bound))
+    def know(self, parts: Wholes, bound: float) -> None:
+        """Remember a bound without network of all that cut the feeder in a way."""
+        self._known.append((parts, bound))
 
     def run(self, reach: Candidates) -> Search:
         """Bound each way of cutting the feeder, and plan what may be worth more."""
@@ -456,7 +467,7 @@ class Search:
         why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
         self.record = replace(self.record, configurations=len(reach.found), why=why)
         if not complete:
-            self.bound = np.inf
+            self.bound = self.most
         return self
 
     def _nothing_joined_is_better(self, reach: Candidates) -> bool:
@@ -477,8 +488,9 @@ class Search:
         bound = min((most for parts, most in self._known if group[0].within(parts)), default=np.inf)
         if not self.beaten(bound - price):
             part = group[0]
-            bound = min(bound, self._of.bound_in(self._observation, part, self.deadline.left_s))
-            self.know(part, bound)
+            if not any(np.array_equal(part.parts, parts) for parts, _ in self._known):
+                bound = min(bound, self._of.bound_in(self._observation, part, self.deadline.left_s))
+                self.know(part.parts, bound)
             self.record = replace(self.record, bounded=self.record.bounded + 1)
         of_trees = -np.inf
         for way in group:
@@ -486,9 +498,12 @@ class Search:
                 break
             if not self._of.may_be_joined(way, self._sources):
                 continue
-            if self.deadline.passed:
+            left_s = self.deadline.left_s
+            if left_s <= self._last_plan_s:  # the next would hardly end in time
                 return False
-            planned = self._of.planned_in(self._observation, way, self._before)
+            watch = Stopwatch()
+            planned = self._of.planned_in(self._observation, way, self._before, left_s)
+            self._last_plan_s = watch.spent_s
             self.record = replace(self.record, planned=self.record.planned + 1)
             if planned is not None:
                 of_trees = max(of_trees, planned.bound)
@@ -510,8 +525,7 @@ class Search:
         decision, price = self.best.decision, self.best.candidate.price
         info = decision.info
         if self.record.why != ALL_SERVED:
-            solve_s = self.stay.decision.info.solve_s + self.deadline.spent_s
-            info = replace(info, solve_s=solve_s)
+            info = replace(info, solve_s=self.deadline.spent_s)
         bound = max(info.bound, self.bound + price)
         if bound > info.bound and np.isfinite(info.objective):
             gap = max(bound - info.objective, 0.0)
@@ -527,7 +541,8 @@ def _known(observation: Observation, decision: Decision) -> Observation:
     """The observation as its decision took it for true, in the order of the day."""
     seen = decision.seen or observation
     forecast = replace(seen.forecast, out=observation.forecast.out)
-    return replace(seen, forecast=forecast, operating_point=observation.operating_point)
+    point, within_s = observation.operating_point, observation.within_s
+    return replace(seen, forecast=forecast, operating_point=point, within_s=within_s)
 
 
 def with_row(values: Floats, row: int, changed: Floats) -> Floats:

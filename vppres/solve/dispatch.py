@@ -269,11 +269,9 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
     cost has any reactive power that the discs allow. Its losses would be the next pass's in
     physical mode, and from there it may never agree with AC, so that the usual ways are the
     tie-breakers and the least reactive power. The latter knows the paper's rows alone: with what
-    the page adds, and lines that are out, the dispatch stays as it is then, as it does at first
-    with rows of phases.
+    the page adds the dispatch stays as it is then, as it does at first with rows of phases.
     """
-    knows = not task.own and task.data.parts.whole
-    usual = (tie_breakers, least_reactive_power if knows else as_it_is)
+    usual = (tie_breakers, as_it_is if task.own else least_reactive_power)
     for way in ways or ((as_it_is, *OF_PHASES) if task.by_phase else usual):
         attempt = way(task, found)
         if attempt.dispatch is None:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.numerics import cost_scale, objective_scale
@@ -158,9 +159,10 @@ def sheet_of(cache: ModelCache, data: WindowData) -> Sheet:
 
 
 def sheet_of_draws(cache: ModelCache, data: WindowData) -> Sheet:
-    """The compiled statement of one step with nothing beyond the paper but what draws power."""
+    """The compiled statement of one step with what draws power, and lines that are out."""
     found = beyond_paper(cache.site, data)
-    return sheet_for(cache, 1, tuple((each, shape) for each, shape in found if each.draws))
+    kept = tuple((each, shape) for each, shape in found if each.draws or each is LinesOut)
+    return sheet_for(cache, 1, kept)
 
 
 def sheet_for(cache: ModelCache, n_steps: int, beyond: Beyond) -> Sheet:

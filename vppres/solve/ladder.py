@@ -380,7 +380,7 @@ def climb(task: WindowTask) -> None:
     require_bounds(task)
     everyone = worth_everyone(task)
     plain = not task.data.physical and task.data.switching is None
-    at_once = has_ratings(task.data)
+    at_once = has_ratings(task.data) or (task.is_wide and not task.data.parts.whole)
     at_once = at_once or (plain and (task.is_huge or (task.is_wide and not everyone)))
     master = network_master(task) if at_once else None
     if master is not None and decide_at_once(task, master):

@@ -79,10 +79,9 @@ class WindowTask:
     def by_rows(self) -> bool:
         """Whether limits of dispatches in the network are rows of a linear problem.
 
-        So are phases, and ratings of lines; reactive power stays within no part of a feeder there.
+        So are phases, and ratings of lines.
         """
-        rated = has_ratings(self.data) and self.data.parts.whole
-        return self.by_phase or (rated and not self.own)
+        return self.by_phase or (has_ratings(self.data) and not self.own)
 
     @property
     def changed(self) -> tuple[str, ...]:

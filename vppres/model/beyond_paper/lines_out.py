@@ -24,6 +24,9 @@ from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
+NO_REACTIVE_FLOW = "no_reactive_flow"
+"""Its family of reactive power."""
+
 
 @dataclass(frozen=True, eq=False)
 class LinesOut(Addition):
@@ -85,7 +88,7 @@ class LinesOut(Addition):
         """No flow over lines that are out; nothing served, given or taken in dead parts."""
         found: Named = {
             "no_active_flow": cp.multiply(self.out, v.P_flow[:, self.lines]) == 0.0,
-            "no_reactive_flow": cp.multiply(self.out, v.Q_flow[:, self.lines]) == 0.0,
+            NO_REACTIVE_FLOW: cp.multiply(self.out, v.Q_flow[:, self.lines]) == 0.0,
         }
         most_kw = {"pv": site.pv.s_max_kva, "batteries": site.batteries.active_max_kw}
         letters = {

@@ -63,10 +63,11 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
 
     In a huge window in any case: nothing else is compiled there, since the cheapest dispatch
     without the network alone has millions of numbers at 10,000 buses. So is one with ratings, of
-    which the fleet knows none. Says whether it was decided.
+    which the fleet knows none, and one that is cut: every battery counts for itself there, which
+    takes long to search. Says whether it was decided.
     """
     known = task.certificate
-    if not has_ratings(task.data):
+    if not has_ratings(task.data) and task.data.parts.whole:
         fleet = fleet_master(task, task.search)
         assert fleet is not None
         outcome, served = fleet.service(task.gap / master.unit)
@@ -142,7 +143,8 @@ class InNetwork:
         if served is None:
             known.prove(outcome)
             return None
-        known.service_bound = self.master.unit * outcome.bound
+        lost = self.task.site.weights.lambda_curt * self.master.least_curtailed_kwh
+        known.service_bound = self.master.unit * outcome.bound - lost
         known.bound_service(known.service_bound)
         found = self.cheapest(served)
         if found is None:
@@ -180,7 +182,7 @@ class InNetwork:
         """Bound the cost of all sets by what the fleet must pay, and so ``F`` of all sets.
 
         First by the LP relaxation of the fleet, then, if that may close the gap, by that with the
-        rows of the network.
+        rows of the network. Where parts tell batteries apart, the first takes longer.
         """
         known = self.task.certificate
         unit = self.master.unit
@@ -189,7 +191,8 @@ class InNetwork:
         served = (found.service - ROUNDING) / unit
         known.cost_bound_gbp = -np.inf  # until now that of sets without the network
         bounds = (("least_cost", self._fleet_cost), ("network_least_cost", self._network_cost))
-        for name, least in bounds:
+        cut = self.task.is_large and not self.task.data.parts.whole
+        for name, least in bounds[cut:]:
             cost_gbp = self._bound(name, least(enough))
             known.bound_by(max(found.value, known.worth(known.service_bound, cost_gbp)))
             if np.ceil(served) > np.ceil(enough):

@@ -103,34 +103,36 @@ class Feeders:
         feeders = np.unique(self.feeder[self.binaries[fraction]])
         return np.asarray(feeders[feeders != SHARED])
 
-    def search(self, number: int, deadline: Deadline) -> Found:
+    def search(self, number: int, deadline: Deadline, most_lost: float = MOST_LOST) -> Found:
         """Search one feeder with its binaries, the shared rows by their prices.
 
-        Whatever departs from what is decided beforehand costs the feeder more than ``MOST_LOST``.
+        Whatever departs from what is decided beforehand costs the feeder more than ``most_lost``.
         """
         columns = np.flatnonzero(self.feeder == number)
         rows = np.flatnonzero(self.of_row == number)
         binary = np.isin(columns, self.binaries)
-        program = self._own(columns, rows, binary)
+        program = self._own(columns, rows, binary, most_lost)
         least = program.least(self.prices[rows])
-        solver = program.loaded(GAP, NODES, more=SEARCH)
+        nodes = None if np.isinf(most_lost) else NODES
+        solver = program.loaded(GAP, nodes, more=SEARCH)
         found = ProgramSolution.of(solver, deadline)
         of_column = np.zeros(len(self.feeder), dtype=np.int64)
         of_column[self.binaries] = np.arange(len(self.binaries))
         places = of_column[columns[binary]]
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
-        bound = min(found.bound, least + MOST_LOST)
+        bound = min(found.bound, least + most_lost)
         raised = bound - BOUND_OFF - least
         return Found(places, served, raised if raised > 0.0 else 0.0)
 
-    def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:
+    def _own(self, columns: Wholes, rows: Wholes, binary: Flags, most_lost: float) -> Program:
         """A feeder's problem; binaries that would cost too much to change are decided."""
         lower = self.program.x_lower[columns].copy()
         upper = self.program.x_upper[columns].copy()
         left = self.reduced[columns]
-        lower[binary & (left < -MOST_LOST)] = 1.0
-        upper[binary & (left > MOST_LOST)] = 0.0
+        decided = binary & (left < -most_lost)
+        lower[decided] = upper[decided]
+        upper[binary & (left > most_lost)] = 0.0
         return Program(
             self.cost[columns],
             lower,

@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
@@ -64,7 +65,8 @@ def select_devices(sheet: Sheet) -> Selection:
     ]
     found = Selection(sheet).relax("x_served", 0.0, 1.0).hold("P_flow", "Q_flow")
     found = found.relaxed_to_shares(statement.named("directions"))
-    found = found.keep(*of_devices, *statement.implied_beyond, *RATINGS, *BALANCES, *DISCS)
+    beyond = [n for n in statement.implied_beyond if n not in LinesOut.for_network]
+    found = found.keep(*of_devices, *beyond, *RATINGS, *BALANCES, *DISCS)
     sums = [total_balance(sheet, name) for name in BALANCES]
     parts = [*sums, *found.parts, one_mode_at_a_time(sheet)]
     if len(sheet.site.pv):
@@ -122,7 +124,7 @@ class Injections:
         inside = np.ones(len(numbers.limit), dtype=bool)
         for name in (*BALANCES, *DISCS):
             inside[named[name]] = False
-        rows = every.part(inside)
+        rows = Rows.joined([every.part(inside), *self._of_parts(injected)])
         program = Program(
             numbers.cost,
             *self._limits(),
@@ -132,8 +134,24 @@ class Injections:
             np.arange(0),
         )
         self.program, kept = with_limits_of_columns(program)
-        inside[inside] = kept
+        inside[inside] = kept[: int(inside.sum())]
         self._place = np.where(inside, np.cumsum(inside) - 1, -1)
+
+    def _of_parts(self, injected: ColumnPowers) -> list[Rows]:
+        """Balances of all parts but the grid's, which has what is left of the sums."""
+        of_bus = self.data.parts.of_bus
+        steps, buses = np.nonzero(of_bus)
+        if not len(steps):
+            return []
+        N = of_bus.shape[1]
+        numbers, row = np.unique(steps * N + of_bus[steps, buses], return_inverse=True)
+        inside = np.zeros((len(numbers), N))
+        inside[row, buses] = 1.0
+        found = []
+        for per_kw, per_kvar in ((inside, 0.0 * inside), (0.0 * inside, inside)):
+            rows, kw, kvar = injected.sums(numbers // N, per_kw, per_kvar)
+            found.append(Rows(rows, -(kw + kvar), -(kw + kvar)))
+        return found
 
     def _limits(self) -> tuple[Floats, Floats]:
         """Limits of the columns: the page's, and what no column exceeds in a dispatch.

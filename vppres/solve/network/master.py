@@ -14,12 +14,13 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
-from vppres.solve.network.feeders import Feeders, feeder_of_buses
+from vppres.solve.network.feeders import MOST_LOST, Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.sets import BOUND_OFF, SearchState, ServiceCuts
@@ -50,10 +51,10 @@ def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: weights and the price of switching on a grid.
 
     Service is counted in whole units here, so none of it may be later service. With rules all sets
-    come from the search with binaries. Reactive power stays within no part of a feeder here.
+    come from the search with binaries.
     """
     unit = weight_grid(site.customers.weight * site.dt_h)
-    if unit == 0.0 or data.keeps_service or not data.parts.whole:
+    if unit == 0.0 or data.keeps_service:
         return False
     if data.switching is None:
         return True
@@ -100,11 +101,35 @@ class NetworkMaster:
             self.network.start(solver)
         return solver, self._until_carried(solver, self.deadline)
 
+    @cached_property
+    def able(self) -> Floats:
+        """1 for who may be served, (W * C,): not in dead parts."""
+        at_bus = at_items(self.data.parts.dead, self.site.customer_bus)
+        return np.where(at_bus, 0.0, 1.0).ravel()
+
+    @cached_property
+    def alone(self) -> Flags:
+        """Customers in parts beside that with the grid's bus, (W * C,)."""
+        return at_items(self.data.parts.beyond, self.site.customer_bus).ravel()
+
     @property
     def most_units(self) -> float:
         """Service that no set exceeds, in units; infinite where it was not found."""
         root = self.root[1]
         return float(np.floor(SOLVED - root.bound)) if root.status == Status.OPTIMAL else np.inf
+
+    @cached_property
+    def least_curtailed_kwh(self) -> float:
+        """Least PV energy that a cut feeder curtails with any schedule: all that of dead parts.
+
+        Service is searched as if curtailment were free, and a feeder in one piece seldom needs any.
+        """
+        if self.data.parts.whole:
+            return 0.0
+        columns = self.model.at("P_curt").ravel()
+        program = self.network.with_cost(columns, np.full(len(columns), self.site.dt_h))
+        found = ProgramSolution.of(self.network.loaded(program), self.deadline)
+        return max(found.bound, 0.0) if found.status == Status.OPTIMAL else 0.0
 
     def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
@@ -119,9 +144,9 @@ class NetworkMaster:
         root = self.root[1]
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
-        cuts = ServiceCuts(self.units)
+        cuts = ServiceCuts(self.units, self.able)
         most = self._cut(root, cuts)
-        known = SearchState(np.ones(x.size), float(np.floor(most + SOLVED)), self._shares(root))
+        known = SearchState(self.able, float(np.floor(most + SOLVED)), self._shares(root))
         known.improve(*self._carried(root))
         if self.network.is_large:
             self._close_large(known, cuts, deadline)
@@ -192,21 +217,25 @@ class NetworkMaster:
 
         (W * C,), NaN for who is left open. Where a share of a feeder's customers is a fraction,
         the feeder is searched with binaries, once: a second search at the prices of a linear
-        problem with its cut takes next to nothing more.
+        problem with its cut takes next to nothing more. A part of a feeder has few customers, and
+        may miss a linear problem by any of them.
         """
         x = self.model.at("x_served").ravel()
         held = np.full(len(x), np.nan)
         raised = np.zeros(len(x))
         total = 0.0
-        open_ = np.repeat(self.data.grid_limit_kw > 0.0, len(self.site.customers))
-        of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
+        open_ = np.repeat(~self.data.dark, len(self.site.customers)) | self.alone
+        of_bus = feeder_of_buses(self.site.network)
+        of_column = self.model.feeders(of_bus)[self.model.origin]
+        cut = of_bus[1:][self.data.parts.lines.any(axis=0)]
         program = limited(self.network.with_cost(*self.lack), self.network.found)
         feeders = Feeders(program, self.root[1], of_column, x)
         end = deadline.part(HALF)
         for number in feeders.fractional:
             if end.passed:
                 break
-            found = feeders.search(number, end)
+            most_lost = np.inf if number in cut else MOST_LOST
+            found = feeders.search(number, end, most_lost)
             places = found.binaries[open_[found.binaries]]
             held[places] = found.served[open_[found.binaries]]
             raised[found.binaries] = found.raised
@@ -224,7 +253,7 @@ class NetworkMaster:
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
             known.bound = max(known.most, float(np.floor(cuts.first + SOLVED)))
-        known.tried = np.where(np.isnan(held), 1.0, held)
+        known.tried = np.where(np.isnan(held), self.able, held)
         if not known.closed() and not self._learns(known, cuts, deadline, DISC):
             return
         for over, finer in pairwise(DISCS):
@@ -277,11 +306,13 @@ class NetworkMaster:
     ) -> bool:
         """Whether it is proven that no set has so many units, after some that might were tried.
 
-        First those that supply with grid the customers that the feeders' searches supply: voltages
-        decide there, in an outage the balance does. The others follow.
+        First those that supply with grid, and in parts, the customers that the feeders' searches
+        supply: voltages or the part's own balance decide there, in an outage the balance of all
+        does. The others follow.
         """
         found = None
-        for said in (held, np.full(len(held), np.nan)):
+        only_parts = [np.where(self.alone, held, np.nan)] if self.alone.any() else []
+        for said in (held, *only_parts, np.full(len(held), np.nan)):
             for _ in range(TRIES):
                 found = cuts.with_units(units, known.shares, said, deadline)
                 if not found.status.has_answer:
@@ -324,7 +355,7 @@ class NetworkMaster:
         x = self.model.at("x_served").ravel()
         wanted = served.ravel().astype(float)
         linear = self._tried(solver, wanted, DISC, -np.inf)
-        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), np.ones(len(x)))
+        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), self.able)
         # The limits that were added have no price in the first solution.
         none = np.zeros(solver.getNumRow() - len(root.row_dual))
         self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
@@ -362,7 +393,7 @@ class NetworkMaster:
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
         rest[x] = 0.0
-        return cuts.add(left[x], -worth - float(rest.sum()))
+        return cuts.add(left[x] * self.able, -worth - float(rest.sum()))
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
         """Customers that a linear solution serves in full."""

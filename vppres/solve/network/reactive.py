@@ -14,6 +14,7 @@ from cvxpy.constraints.zero import Equality
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.lines_out import NO_REACTIVE_FLOW
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW
 from vppres.model.ratings import limit_kva
@@ -50,6 +51,7 @@ class LeastReactive(Selected):
         holds_voltage = [name for name, c in families if _holds_voltage(c)]
         found = Selection(sheet).hold("x_served", "P_flow").relax("u")
         found = found.keep("reactive_power_balance", *holds_voltage)
+        found = found.keep(*(name for name, _ in families if name == NO_REACTIVE_FLOW))
         found = found.scale("delta_lindistflow", SHARPER_VOLTAGE)
         limited = [name for name in LETTERS if name != "Q_flow" or self.site.rated]
         for name in ("u", *limited):

@@ -64,10 +64,14 @@ class SearchState:
 
 
 class ServiceCuts:
-    """Cuts on the service of sets that are carried: ``units @ x <= most + gain @ x``."""
+    """Cuts on the service of sets that are carried: ``units @ x <= most + gain @ x``.
 
-    def __init__(self, units: Floats) -> None:
+    ``able`` is 1 for who may be served.
+    """
+
+    def __init__(self, units: Floats, able: Floats) -> None:
         self.units = units
+        self.able = able
         self.gains: list[Floats] = []
         self.most_units: list[float] = []
         self.first_left: Floats = np.zeros(len(units))
@@ -132,7 +136,7 @@ class ServiceCuts:
         return Program(
             PREFERENCE / max(1.0, float(away.sum())) * away - self.units,
             (self.first_left < -spare).astype(float),
-            (self.first_left <= spare).astype(float),
+            (self.first_left <= spare) * self.able,
             sp.csc_array(self.units - np.array(self.gains)),
             np.full(len(self.gains), -np.inf),
             np.array(self.most_units),
