@@ -187,7 +187,7 @@ class PhasedLinearisation:
         current = phased.current_own
         if self.model.site.soft_ratings:
             carried = loading_of_phases(self.model.site, data, *drawn)
-            islands = data.in_island.any(axis=1)  # of all or of a part
+            islands = np.asarray(data.in_island.any(axis=1))  # of all or of a part
             current = np.where(islands[:, None], 0.0, carried)
         limits = replace(phased, u_min=low, u_max=high, current_own=current)
         return replace(data, phased=limits)
