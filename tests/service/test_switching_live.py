@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,11 +17,12 @@ import pytest
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, Live, decided, said, serving
 from tests.support.live_service import client as asked
+from tests.support.page_words import NODE, said_by
 from tests.support.switching_service import confirm, read, switched, want
 from tests.support.three_phases import three_phases
 from vppres.model.site import Site
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.runner import Runner, Service
 from vppres.service.replay.explanations import explained, question
 from vppres.service.replay.export import exported
 from vppres.service.storage.store import Store
@@ -87,6 +89,73 @@ def test_an_operation_that_is_not_seen_in_time_stops_the_order(live: Live) -> No
     assert confirm(http, "s").status == 422
     assert want(http, t=True, s=False).json()["status"] == "confirm"
     assert http.delete("/v1/switching").json()["status"] == "none"
+
+
+PAGE = """
+import { switching } from "./words.mjs";
+import { readFileSync } from "node:fs";
+console.log(JSON.stringify(switching({ overview: JSON.parse(readFileSync(0)) })));
+"""
+
+
+@pytest.mark.skipif(NODE is None, reason="no node on the path")
+def test_the_page_shows_the_order_and_the_operation_to_confirm(live: Live, tmp_path: Path) -> None:
+    http, clock = live
+
+    def shown() -> Any:
+        return said_by(PAGE, tmp_path, json.dumps(http.get("/v1/overview").json()))
+
+    read(http, clock, t=0, s=1)
+    assert shown() is None
+    want(http, t=True, s=False)
+    page = shown()
+    assert [words.split(":")[0] for words in page["operations"]] == ["close t", "open s"]
+    asked_for = "Asked for: s open, t closed."
+    assert page["words"] == f"{asked_for} The first waits for an operator's confirmation."
+    assert page["next"] == "close t"
+    confirm(http, "t")
+    page = shown()
+    words = "An operation is carried out: t has not yet read closed."
+    assert (page["words"], page["next"]) == (f"{asked_for} {words}", "")
+    clock.set(NOON + pd.Timedelta(minutes=25))
+    assert shown()["words"].startswith(f"{asked_for} Stopped: t did not read closed by ")
+    http.delete("/v1/switching")
+    assert shown() is None
+
+
+def test_an_order_that_is_stopped_is_an_alarm(tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with serving(Service(switched(), HERE, paced=True), tmp_path / "db", clock) as (http, runner):
+        check_alarm(http, clock, runner)
+
+
+def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
+    """It is raised when telemetry is late, cleared when it comes, and raised without grid."""
+
+    def stopped() -> list[dict[str, Any]]:
+        runner.check_alarms()
+        found = http.get("/v1/alarms").json()["alarms"]
+        return [one for one in found if one["kind"] == "switching_stopped"]
+
+    read(http, clock, t=0, s=1)
+    want(http, t=True, s=False)
+    confirm(http, "t")
+    assert stopped() == []
+    clock.set(NOON + pd.Timedelta(minutes=25))
+    (alarm,) = stopped()
+    assert (alarm["priority"], alarm["state"]) == ("medium", "raised")
+    words = "The order of switching is stopped: t did not read closed by 2026-11-21T12:25:00Z."
+    assert alarm["text"].startswith(words)
+    # The device was late: the order goes on.
+    read(http, clock, t=1)
+    assert http.get("/v1/switching").json()["next"] == "s"
+    assert all(one["cleared_at"] for one in stopped())
+    # A grid that is lost stops it too.
+    grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "resolution": "PT1M"}
+    body = {"series": [{**grid, "start": written(clock.now()), "values": [0]}]}
+    assert http.post("/v1/telemetry", body).status == 200
+    (alarm,) = [one for one in stopped() if not one["cleared_at"]]
+    assert alarm["text"].startswith("The order of switching is stopped: The grid is lost")
 
 
 def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:

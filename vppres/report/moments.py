@@ -59,7 +59,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Moment:
+class FeederMoment:
     """A step in which switches move or a fault begins: why, and in which order."""
 
     title: str
@@ -73,7 +73,7 @@ class Moment:
 class Moments:
     """The moments that matter most, and how many more there are."""
 
-    shown: tuple[Moment, ...]
+    shown: tuple[FeederMoment, ...]
     left: int
 
     @property
@@ -103,20 +103,20 @@ def moments_of(run: Trajectory, steps: dict[str, Any]) -> Moments:
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """What moments of a run are made of."""
+    """Moments of a run, made from its steps."""
 
     run: Trajectory
     states: BranchStates
     steps: dict[str, Any]
 
-    def moved(self, t: int) -> Moment:
+    def moved(self, t: int) -> FeederMoment:
         """Switches that move in a step: before, what is out in it is out already."""
         closed = self.states.before(t)
         which = tuple(np.flatnonzero(self.states.closed[t] != closed).tolist())
         what, why, order = (
             str(self.run.steps[name].iloc[t]) for name in (SWITCHED, SWITCHING_WHY, SWITCHING_ORDER)
         )
-        return Moment(
+        return FeederMoment(
             f"{Clock.of(self.run).at(t)}: {what}",
             f"{why[:1].upper()}{why[1:]}.",
             tuple(f"{each}." for each in order.splitlines()),
@@ -124,13 +124,13 @@ class _Moments:
             replace(self._recorded(t), moved=which),
         )
 
-    def fault(self, t: int) -> Moment:
+    def fault(self, t: int) -> FeederMoment:
         """A fault that begins in a step without operations."""
         healthy = np.zeros_like(self.states.out[t])
         before = self._recorded(t - 1) if t else self._unrecorded(t, self.states.before(t), healthy)
         title = f"{Clock.of(self.run).at(t)}: a fault begins"
         words = self._out_words(self.states.out[t])
-        return Moment(title, words, (), before, self._recorded(t))
+        return FeederMoment(title, words, (), before, self._recorded(t))
 
     def _recorded(self, t: int) -> Look:
         """A step as it was."""

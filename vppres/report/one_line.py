@@ -103,7 +103,7 @@ class SwitchMark:
 
     @property
     def middle(self) -> tuple[int, int]:
-        """Where the mark of an open switch stands."""
+        """Place of the mark of an open switch."""
         x1, y1, x2, y2 = self.ends
         x, y = (x1 + x2) // 2, (y1 + y2) // 2
         if y1 == y2:
@@ -227,7 +227,7 @@ class BranchStates:
 
     @classmethod
     def of(cls, run: Trajectory) -> BranchStates:
-        """Those of a run."""
+        """States of the branches of a run."""
         branches, n_steps = Branches.of(run.scenario), len(run.steps)
         closed = configurations_of(run) or [branches.closed] * n_steps
         out = out_of_branches(run.scenario.out_of_service(range(n_steps)), branches.ends)

@@ -175,6 +175,7 @@ class Overview:
             "ahead_s": runner.ahead_s if plan else None,
             "steps": runner.outcomes,
             "alarms": runner.alarms.listed(now),
+            "switching": runner.switchgear().told() if runner.is_switching else None,
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard, now),
             "measured": self._measured(latest.found, now),

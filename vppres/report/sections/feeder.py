@@ -70,7 +70,9 @@ def feeder_section(run: Run) -> Section:
             "look": {name: states[name][states["start"]] for name in LOOK},
             "label_px": max(14, drawn.width // 50),
             "parts": {i: words for i, words in PARTS.items() if str(i) in "".join(shown)},
-            "named_places": lambda look: _named_places(drawn, branches.names, look.moved),
+            "named_places": lambda look: _named_places(
+                drawn, branches.names, {*look.moved, *look.out}
+            ),
             "colours": voltage_colours(len(voltages)),
             "voltages": voltages,
             "loadings": _loading_words(run.trajectory),
@@ -99,11 +101,11 @@ def feeder_section(run: Run) -> Section:
 
 
 def _named_places(
-    drawn: Drawing, names: Sequence[str], moved: Iterable[int]
+    drawn: Drawing, names: Sequence[str], which: Iterable[int]
 ) -> Iterator[tuple[float, float, str]]:
-    """Where the names of branches stand that move: at the middle of each."""
+    """Places of the names of branches: the middle of each."""
     ties = {switch.branch: switch.middle for switch in drawn.switches if not switch.closed}
-    for branch in moved:
+    for branch in sorted(which):
         if branch in ties:
             yield *ties[branch], names[branch]
         else:

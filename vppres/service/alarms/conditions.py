@@ -80,6 +80,7 @@ class Situation:
     The plan is empty before the first. Whether there is grid was ``read_by`` a source last; an
     outage of now may be ``announced``.
     ``formers`` can form the grid of an island; None in paper mode, whose islands need none.
+    ``switching_stopped`` says why an order of switching goes no further.
     """
 
     now: pd.Timestamp
@@ -96,6 +97,7 @@ class Situation:
     read_by: str = ""
     announced: bool = False
     formers: Sequence[FormerState] | None = None
+    switching_stopped: str = ""
 
     @property
     def known_soc(self) -> Floats:
@@ -195,6 +197,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _grid_lost(now)
     yield from _off_with_grid(now)
     yield from _lines_out(now)
+    yield from _switching_stopped(now)
     yield from _one_former_left(now)
     yield from _shed(now)
     yield from _critical_off(now)
@@ -301,6 +304,13 @@ def _switch_proposed(now: Situation) -> Iterator[Condition]:
         why = proposed["why"]
         words = f"{why[0].upper()}{why[1:]}; it waits for an operator."
         yield Condition("switch_proposed", "", HIGH if now.critical & now.off else MEDIUM, words)
+
+
+def _switching_stopped(now: Situation) -> Iterator[Condition]:
+    """An order of switching goes no further."""
+    if now.switching_stopped:
+        words = f"The order of switching is stopped: {now.switching_stopped}"
+        yield Condition("switching_stopped", "", MEDIUM, words)
 
 
 def _shed(now: Situation) -> Iterator[Condition]:

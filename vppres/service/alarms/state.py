@@ -63,6 +63,12 @@ KINDS = {
     "line_out": AlarmKind(
         0.0, 0.0, "Put its event again when the expected end changes, and when it is repaired."
     ),
+    "switching_stopped": AlarmKind(
+        0.0,
+        0.0,
+        "Ask on site for the state of the switch. Then ask anew for the states that are to be "
+        "reached, or withdraw the order.",
+    ),
     "one_former_left": AlarmKind(
         0.0,
         0.0,

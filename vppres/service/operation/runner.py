@@ -294,6 +294,12 @@ class Runner:
         step = told_by_plans(step, [found.plan])
         return ByHand(asked, step, found, self.options).words()
 
+    @property
+    def is_switching(self) -> bool:
+        """Whether states of switches are asked for, or an operation was confirmed."""
+        asked = self.store.setting(SWITCHING)[0]
+        return bool(asked.get("closed") or asked.get("issued"))
+
     def switchgear(self, asked: Mapping[str, Any] | None = None) -> Switchgear:
         """Switches as they were read last, and as an operator asked for them, or asks now."""
         now = self.clock.now()
@@ -347,7 +353,9 @@ class Runner:
         now = self.clock.now()
         with suppress(StorageError):  # /readyz says so, and the next look comes soon
             found = self.situation(now)
-            found = replace(found, unreached=self.notifier.unreached() if self.notifier else ())
+            unreached = self.notifier.unreached() if self.notifier else ()
+            stopped = self.switchgear().stopped if self.is_switching else ""
+            found = replace(found, unreached=unreached, switching_stopped=stopped)
             self.alarms.look(conditions(found), now)
 
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:

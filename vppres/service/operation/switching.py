@@ -190,6 +190,11 @@ class Switchgear:
         }
         return {**self.asked, "issued": issued}
 
+    @property
+    def stopped(self) -> str:
+        """Why the order is stopped; empty if it is not."""
+        return self.state["reason"] if self.state["status"] == "stopped" else ""
+
     def told(self) -> dict[str, Any]:
         """States, the operation that devices carry out, and those that are left.
 

@@ -39,10 +39,10 @@ export class Operator {
     this.setpoints = new Map(); // by device, not sent yet
   }
 
-  // Something that needs no confirmation, on an alarm.
-  async act(path, method, body) {
+  // Something that needs no dialog, on an alarm or an operation.
+  async act(path, method, body, answer = "attention-said") {
     const said = await this.ask(path, { method, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
-    $("attention-said").textContent = said;
+    $(answer).textContent = said;
     await this.look();
   }
 

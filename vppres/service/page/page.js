@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, announcesNothing, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isHeard, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, announcesNothing, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isHeard, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, switching, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -140,6 +140,7 @@ function show() {
   showSets();
   showSources();
   showEvents();
+  showSwitching();
   showSteps();
 }
 
@@ -442,6 +443,21 @@ function showSources() {
     : table(["Source"], [["No source connected."]]));
 }
 
+// The order of switching: what is carried out, what waits for an operator, and what comes then.
+function showSwitching() {
+  const found = switching(view);
+  $("switching").hidden = !found;
+  if (!found) return;
+  renew("switching-list", found.operations, () => found.operations.map((words) => node("li", {}, words)));
+  write("switching-words", found.words);
+  const box = $("switching-confirm");
+  if (box.hidden || box.dataset.next !== found.next) box.open = false;
+  box.hidden = !found.next;
+  box.dataset.next = found.next;
+  write("switching-next", `Confirm: ${found.next}`);
+  write("switching-yes", `Yes, ${found.next} now`);
+}
+
 function showEvents() {
   const events = Object.entries(view.overview.events).filter(([, event]) => !event.end || new Date(event.end) > view.now);
   renew("events-list", [events, announcesNothing(view), Math.floor(view.now / 60000)], () => events.length
@@ -464,6 +480,7 @@ function showSteps() {
 }
 
 const operator = new Operator(ask, look, () => view.now, () => view);
+$("switching-yes").addEventListener("click", () => operator.act("v1/switching/confirm", "POST", () => ({ switch: view.overview.switching.next }), "switching-said"));
 new ResizeObserver(() => charts?.fit()).observe($("outlook"));
 setInterval(show, 1000);
 (async function watch() {

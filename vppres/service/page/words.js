@@ -193,6 +193,22 @@ function next(view, at) {
   return faults ? `${faults} ${comes(view, at)}` : comes(view, at);
 }
 
+// The order of switching: operations that are left, its state, and the one to confirm; null for none.
+export function switching(view) {
+  const found = view.overview.switching;
+  if (!found || found.status === "none") return null;
+  const { status, operations, reason, next } = found;
+  const words = {
+    confirm: "The first waits for an operator's confirmation.",
+    waiting: `An operation is carried out: ${reason}`,
+    stopped: `Stopped: ${reason}`,
+    done: "All switches are as asked.",
+  }[status];
+  const asked = Object.entries(found.asked).map(([name, closed]) => `${name} ${closed ? "closed" : "open"}`);
+  const verb = next && found.operations[0].startsWith("close ") ? "close" : "open";
+  return { operations, words: `Asked for: ${list(asked)}. ${words}`, next: next ? `${verb} ${next}` : "" };
+}
+
 // Lines and buses that are out of service now, or will be; empty for none.
 function outOfService(view, at) {
   const faults = (view.overview.plan?.faults ?? []).filter((one) => !one.end || new Date(one.end) > view.now);
