@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.switched import switched_day
+from tests.support.three_phases import three_phases
 from vppres import Controller, InputError, RunOptions, run_day
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
@@ -20,6 +22,7 @@ from vppres.report.operating_order import shown_orders
 from vppres.report.run_folder import render_report
 from vppres.scenario.configuration import Branches, in_configuration
 from vppres.scenario.faults import LineFault
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
@@ -59,6 +62,49 @@ def test_a_tie_takes_over_behind_a_fault(tiny: Scenario, tmp_path: Path) -> None
     still = run_day(day, PAPER)
     homes = still.customers[still.customers["id"] == "homes"]
     assert homes["served"].tolist() == [True, True, False, False, True, True]
+
+
+def test_a_tie_of_three_phases_takes_over_behind_a_fault(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=named), ties((3, 4)), line=4)
+    run = run_day(three_phases(day), replace(MOVING, mode="physical"))
+    assert run.customers["served"].all()
+    assert run.steps["switched"].tolist() == ["", "", "closed 3-4, opened 2-4", "", "", ""]
+    order = run.steps["switching_order"].iloc[2].splitlines()
+    assert [one.split(":")[0] for one in order] == ["open 2-4", "close 3-4"]
+    assert "lowest voltage" in order[1] and "margin" in order[1]
+    assert run.steps["v_error_pu"].max() < 1e-4
+    assert run.nodes is not None and not run.nodes["v_ac_pu"].isna().any()
+
+
+def test_a_tie_that_lacks_a_phase_is_not_moved(tiny: Scenario) -> None:
+    day = three_phases(with_fault(tiny, ties((3, 4)), line=4))
+    out = day.out_of_service(range(1))
+    branches = Branches.of(day)
+    assert branches.movable(~branches.closed, out)[-1]
+    bare = tuple(
+        replace(row, phases="a" if row.at == 3 else row.phases) for row in day.phases.buses
+    )
+    lines = tuple(row for row in day.phases.lines if row.to_bus != "3")
+    connections = tuple(row for row in day.phases.connections if row.bus != "3")
+    phases = Phases(bare, lines, connections=connections)
+    assert not replace(branches, phases=phases).movable(~branches.closed, out)[-1]
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", [0, 5])
+def test_three_equal_phases_move_the_same_switches(seed: int) -> None:
+    """With inverters that limit nothing."""
+    day = switched_day(seed).between(0, 3)
+    wide = replace(day.batteries, s_max_kva=np.full(len(day.batteries), 600.0))
+    known = tuple(replace(fault, known=True) for fault in day.faults)
+    day = replace(day, faults=known, batteries=wide)
+    options = replace(MOVING, mode="physical")
+    one, three = (run_day(each, options) for each in (day, three_phases(day)))
+    assert one.steps["switched"].any()
+    for column in ("switched", "switching_ahead"):
+        assert three.steps[column].tolist() == one.steps[column].tolist()
+    assert three.customers["served"].tolist() == one.customers["served"].tolist()
 
 
 def test_a_day_without_movable_switches_is_that_of_its_tree(tiny: Scenario) -> None:

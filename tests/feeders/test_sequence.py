@@ -12,9 +12,12 @@ import pandapower.networks as networks
 import pytest
 
 from tests.support.own_power_flow import voltages
+from tests.support.three_phases import three_phases
 from vppres.core.arrays import Flags
 from vppres.feeders import import_network
+from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.choice import switched_network
+from vppres.feeders.reconfiguration.meshed import MeshedFlow
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
     Formers,
@@ -22,7 +25,9 @@ from vppres.feeders.reconfiguration.sequence import (
     SwitchingOrder,
     safe_order,
 )
+from vppres.physics.phased_sources import assets_of, buses_of
 from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
 BEST_33 = ("7-8", "9-10", "14-15", "25-29", "32-33")
@@ -60,6 +65,32 @@ def sentences(order: SwitchingOrder) -> list[str]:
 
 
 @pytest.mark.daily
+def test_states_by_phase_are_those_of_the_balanced_feeder(tiny: Scenario) -> None:
+    """Three equal phases without coupling: with a loop, without one, and in an island."""
+    switches = Switches(["t"], [3], [4], ["tie"], [False], r_ohm=[0.5], x_ohm=[0.4])
+    day = three_phases(replace(tiny, switches=switches))
+    kw = np.array([50.0, 30.0, 40.0, *np.zeros(len(assets_of(day)) - 3)])
+    former, bus = str(day.batteries.id[0]), day.batteries.bus[0]
+    held = day.network.bus_index[bus]
+    balanced = MeshedFlow(day.network, switches)
+    by_phase = FlowInStates(day, [former], kw, 0.3 * kw)
+    places = [day.network.bus_index[bus] for bus in buses_of(day)]
+    given = -np.bincount(places, kw, day.network.n_buses)
+    every = np.ones(4, dtype=bool)
+    for closed, reference in (([1, 1, 1, 1], 0), ([1, 1, 0, 1], 0), ([0, 1, 1, 0], held)):
+        state = np.array(closed, dtype=bool)
+        inside = every if reference == 0 else np.arange(4) > 0
+        one, three = (
+            flow.solve(inside, state, reference, given, 0.3 * given)
+            for flow in (balanced, by_phase)
+        )
+        assert one is not None and three is not None
+        np.testing.assert_allclose(three.v_pu, one.v_pu, atol=1e-7)
+        np.testing.assert_allclose(three.current_a, one.current_a, atol=1e-4)
+        assert three.source_kva == pytest.approx(one.source_kva, abs=1e-2)
+        assert three.fullest_kva == pytest.approx(abs(three.source_kva), abs=1e-2)
+
+
 def test_33_buses_to_their_optimum_over_closed_loops() -> None:
     """pandapower has every state: its lowest voltage, and what the tie carries."""
     feeder = of_ties(published(), parallel_allowed=True)

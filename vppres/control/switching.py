@@ -18,21 +18,24 @@ from vppres.contract.operating_point import Centre
 from vppres.control.candidates import Candidates, Reached
 from vppres.control.configurations import DAY_H, ControllerIn, InConfiguration
 from vppres.control.guard.check import PAPER, Tolerances, violations
+from vppres.control.phased_rule import supply_of
 from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import SolveError
 from vppres.core.plain import Given
 from vppres.core.text import counted, named
+from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
     Formers,
     SwitchedFeeder,
-    SwitchingOrder,
     safe_order,
 )
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, curtailed_kw
+from vppres.model.phases import GRID, phased_model
 from vppres.model.site import Site
+from vppres.physics.phased_sources import farthest
 from vppres.scenario.configuration import blocks_of, out_of_branches
 from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import Scenario
@@ -306,36 +309,77 @@ class Switching(InConfiguration):
         here = self.controller_in(self.closed)
         if np.array_equal(found.candidate.parts[0], stay.candidate.parts[0]):
             state = self.step_state(here, observation)
-            decision = self._with_lines_of(state, found.decision)
-            if not violations(decision, state, self.within):
-                return replace(found, decision=decision, waits=True)
-        order = self._order(observation, found, begin)
+            if self._as_it_is(observation, found):
+                decision = self._with_lines_of(state, found.decision)
+                if not violations(decision, state, self.within):
+                    return replace(found, decision=decision, waits=True)
+        feeder = self._feeder(observation, found, begin.out, not begin.live.any())
+        order = safe_order(feeder, self.closed, found.candidate.closed)
         if order.operations is None:
             return None
         return replace(found, order=tuple(one.sentence for one in order.operations))
 
-    def _order(self, observation: Observation, found: Planned, begin: Begin) -> SwitchingOrder:
-        """Order of operations from the state in which they begin."""
-        day, now = self.day, observation.forecast.out
+    def _as_it_is(self, observation: Observation, found: Planned) -> bool:
+        """Whether the phases of the present configuration carry the first step of a plan.
+
+        Or by no less than those of the plan's own do.
+        """
+        if not self.day.phases:
+            return True
+        out = observation.forecast.out.part(slice(1))
+        feeder = self._feeder(observation, found, out, dark=False)
+        planned = found.candidate.closed
+        here, there = (safe_order(feeder, each, each).before for each in (self.closed, planned))
+        return -np.inf < here.value >= min(there.value, 0.0)
+
+    def _feeder(
+        self, observation: Observation, found: Planned, out: OutOfService, dark: bool
+    ) -> SwitchedFeeder:
+        """The feeder at a plan's first step, with what is out, one step."""
+        day, net = self.day, self.day.network
         part = self.controller_in(found.candidate.closed)
-        given = self._injections(self.step_state(part, observation), found.decision)
+        state = self.step_state(part, observation)
+        given = self._injections(state, found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
-        dark, out = not begin.live.any(), begin.out
-        net = day.network
-        feeder = SwitchedFeeder(
+        formers = Formers.none() if dark else self._formers(observation, found.decision)
+        now = observation.forecast.out
+        return SwitchedFeeder(
             net,
             day.switches,
             p_kw,
             q_kvar,
             ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu, part.site.rated),
             grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
-            formers=Formers.none() if dark else self._formers(observation, found.decision),
+            formers=formers,
             faulted=out_of_branches(out, self.branches.ends)[0],
             bus_out=out.buses[0],
             movable=self.branches.movable(~self.closed, now),
             customers=day.customers.by_bus,
+            by_phase=self._by_phase(state, found.decision, formers),
         )
-        return safe_order(feeder, self.closed, found.candidate.closed)
+
+    def _by_phase(
+        self, state: StepState, decision: Decision, formers: Formers
+    ) -> FlowInStates | None:
+        """Power flow by phase of a decision's step in any configuration; None without phases."""
+        if not self.day.phases:
+            return None
+        return FlowInStates(self.day, map(str, formers.id), *self._drawn(state, decision, GRID))
+
+    @staticmethod
+    def _drawn(state: StepState, decision: Decision, source: int) -> tuple[Floats, Floats]:
+        """What devices of a feeder with phases draw in a decision's step, (D,) each."""
+        plan, row = decision.dispatch, decision.row
+        sun_kw = plan.pv_self_kw[row] + plan.pv_export_kw[row]
+        given_kw = plan.discharge_kw[row] - plan.charge_kw[row]
+        return phased_model(state.site).powers(
+            source,
+            load_kw=state.load_kw * plan.supplied[row],
+            pv=(sun_kw, plan.pv_q_kvar[row]),
+            batteries=(given_kw, plan.batt_q_kvar[row]),
+            taken_kw={kind: kw[row] for kind, kw in plan.taken_kw.items()},
+            given_kvar={kind: np.nan_to_num(kvar[row]) for kind, kvar in plan.given_kvar.items()},
+        )
 
     def _formers(self, observation: Observation, decision: Decision) -> Formers:
         """Batteries that can hold an island, with their set-points."""
@@ -380,10 +424,19 @@ class Switching(InConfiguration):
         given = self._injections(state, decision)
         p_flow_kw, q_flow_kvar, v_pu = network_state(state, *given)
         plan, row = decision.dispatch, decision.row
+        v_node_pu = plan.v_node_pu
+        if v_node_pu is not None:
+            model, source = phased_model(state.site), supply_of(state)
+            found = model.solved(source, *self._drawn(state, decision, source))
+            if found is not None:
+                of_nodes = model.supplies[source].flow.v_pu(found.v)
+                v_node_pu = with_row(v_node_pu, row, of_nodes)
+                v_pu = farthest(of_nodes, model.at_bus, len(v_pu))
         return replace(
             decision,
             dispatch=replace(
                 plan,
+                v_node_pu=v_node_pu,
                 p_flow_kw=with_row(plan.p_flow_kw, row, p_flow_kw),
                 q_flow_kvar=with_row(plan.q_flow_kvar, row, q_flow_kvar),
                 v_pu=with_row(plan.v_pu, row, v_pu),

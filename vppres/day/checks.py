@@ -98,7 +98,6 @@ def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         ("mode", options.mode, options.mode != "physical", "physical"),
         ("controller", options.controller, options.controller != MPC, MPC),
         ("method", options.method, options.method != DECOMPOSED, DECOMPOSED),
-        ("move_switches", options.move_switches, options.move_switches, False),
     ):
         if wrong:
             cure = f"Use {cure}, or {BALANCED}."

@@ -145,6 +145,10 @@ def _by_asset(flow: PhasedFlow, factor: Floats) -> Any:
     return sp.csr_array((flow.share * factor, (coils, flow.asset)), shape=shape)
 
 
+SupplyKey = tuple[bytes | None, Fed]
+"""Number of the part of each bus, none of a feeder in one piece, and the sources of parts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Supply:
     """A feeder and what holds its voltages: the grid or a former, of each part that has one.
@@ -216,7 +220,7 @@ class PhasedModel:
     site: Site
     formers: tuple[str, ...]
     supplies: list[Supply]
-    _of_parts: dict[tuple[bytes, Fed], int] = field(default_factory=dict)
+    _of_parts: dict[SupplyKey, int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, site: Site) -> PhasedModel:
@@ -315,10 +319,18 @@ class PhasedModel:
             self.supplies.append(Supply.of(site, fed, flow, loadings))
         return self._of_parts[key]
 
-    def parts_in(self, data: WindowData) -> list[tuple[bytes, Fed]]:
-        """Supplies of parts in a window, by what :meth:`supplied` makes them of."""
+    def source_of(self, key: SupplyKey) -> int:
+        """Supply of a key."""
+        numbers, fed = key
+        if numbers is None:
+            return 1 + self.formers.index(fed[0][1])
+        return self.supplied(np.frombuffer(numbers, dtype=np.int64), fed)
+
+    def parts_in(self, data: WindowData) -> list[SupplyKey]:
+        """Supplies of parts in a window."""
         there = set(self.sources(data).tolist())
-        return sorted(key for key, source in self._of_parts.items() if source in there)
+        found = (key for key, source in self._of_parts.items() if source in there)
+        return sorted(found, key=repr)
 
     def _width(self, sources: Wholes) -> int:
         """Sources of the step of a window that has the most."""
@@ -516,7 +528,7 @@ class PhasedModel:
 
 
 _KNOWN: OrderedDict[str, PhasedModel] = OrderedDict()
-_KEPT = 3
+_KEPT = 16
 
 
 def phased_model(site: Site) -> PhasedModel:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
 from vppres.core.text import named
 from vppres.scenario.faults import LineFault, OpenLine, OutOfService
-from vppres.scenario.network import LINE_DEFAULTS, Network
+from vppres.scenario.network import LINE_DEFAULTS, BusId, Network
+from vppres.scenario.phases import BALANCED, PHASES, PhaseBus, PhaseLine, Phases, PhaseTransformer
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import OF_THE_LINE, SWITCH_DEFAULTS, Switches
 
@@ -32,15 +34,18 @@ class Branches:
         The lines, in the configuration in which a day begins.
     switches : Switches
         The switches: those on lines, and the ties.
+    phases : Phases, optional
+        The phases; a balanced feeder if not given. A tie has all phases there, or is not moved.
     """
 
     network: Network
     switches: Switches
+    phases: Phases = BALANCED
 
     @classmethod
     def of(cls, scenario: Scenario) -> Branches:
         """The branches of a scenario."""
-        return cls(scenario.network, scenario.switches)
+        return cls(scenario.network, scenario.switches, scenario.phases)
 
     @cached_property
     def ties(self) -> Switches:
@@ -131,7 +136,47 @@ class Branches:
         opened |= open_now & self.closed
         unlocked = np.append(switches.locked == "", True)[self.switch]
         ratio = np.append(net.ratio != 1.0, np.zeros(len(self.ties), dtype=bool))
-        return np.asarray((able | (opened & unlocked)) & ~ratio)
+        found = (able | (opened & unlocked)) & ~ratio
+        if self.phases:
+            found[net.n_lines :] &= [ends is not None for ends in self.tie_ends]
+        return np.asarray(found)
+
+    @cached_property
+    def tie_ends(self) -> list[tuple[PhaseBus, PhaseBus] | None]:
+        """Buses with three phases and one voltage at the ends of each tie; None without any."""
+        complete: dict[BusId, list[PhaseBus]] = {}
+        for row in self.phases.buses:
+            if len(row.phases.split()) == len(PHASES):
+                complete.setdefault(row.at, []).append(row)
+        sides = zip(self.ties.from_bus, self.ties.to_bus, strict=True)
+        pairs = (product(complete.get(a, ()), complete.get(b, ())) for a, b in sides)
+        return [next((p for p in own if p[0].kv == p[1].kv), None) for own in pairs]
+
+    def phases_with(self, there: Flags) -> Phases:
+        """The phases with the lines of some branches, (E,); a tie has no coupling of its phases."""
+        phases, net = self.phases, self.network
+        if not phases:
+            return phases
+        lines_gone = self.ends[: net.n_lines][~there[: net.n_lines]]
+        gone = {frozenset(net.buses[ends]) for ends in lines_gone}
+        at = {row.bus: row.at for row in phases.buses}
+
+        def stays(row: PhaseLine | PhaseTransformer) -> bool:
+            return frozenset((at[row.from_bus], at[row.to_bus])) not in gone
+
+        lines = [*filter(stays, phases.lines)]
+        for tie in np.flatnonzero(there[net.n_lines :]):
+            ends = self.tie_ends[tie]
+            assert ends is not None  # others are not moved
+            z_ohm = complex(self.ties.r_ohm[tie], self.ties.x_ohm[tie])
+            z_ohm *= (ends[0].kv / net.base_kv) ** 2
+            most_a = float(self.ties.i_max_a[tie]) * net.base_kv / ends[0].kv
+            rating = most_a if np.isfinite(most_a) else np.nan
+            names = (ends[0].bus, ends[1].bus)
+            apart = np.diag([z_ohm] * len(PHASES)).astype(np.complex128)
+            lines.append(PhaseLine(*names, apart, np.zeros((3, 3)), rating))
+        units = tuple(filter(stays, phases.transformers))
+        return replace(phases, lines=tuple(lines), transformers=units)
 
     def with_states(
         self, read: Mapping[str, bool], before: Flags, out: Flags
@@ -354,6 +399,7 @@ def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Config
     changed = replace(
         day,
         network=tree,
+        phases=branches.phases_with(np.isin(np.arange(len(branches)), chosen)),
         switches=Switches.none(),
         faults=tuple(_faults_of(day, closed, tree, lines)),
     )

@@ -32,11 +32,14 @@ class PartFlow:
         Currents of its branches; 0 elsewhere.
     source_kva : complex
         What the reference bus gives beyond its own injection.
+    fullest_kva : float
+        What it would give if all its phases did what the fullest does; 0 if balanced.
     """
 
     v_pu: Floats
     current_a: Floats
     source_kva: complex
+    fullest_kva: float = 0.0
 
 
 class MeshedFlow:

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
 from vppres.core.text import counted, named
+from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.meshed import MeshedFlow, PartFlow
 from vppres.feeders.reconfiguration.search import WITHIN, ConfigurationLimits
 from vppres.scenario.configuration import Branches
@@ -98,6 +99,8 @@ class SwitchedFeeder:
         Branches that can be operated; those with an operable switch, or without one, if not given.
     customers : mapping, optional
         Names of the customers of a bus.
+    by_phase : FlowInStates, optional
+        Power flow by phase of a feeder with phases.
     """
 
     network: Network
@@ -113,6 +116,7 @@ class SwitchedFeeder:
     cold_kvar: Floats | None = None
     movable: Flags | None = None
     customers: Mapping[BusId, Sequence[str]] = field(default_factory=dict)
+    by_phase: FlowInStates | None = None
 
     @cached_property
     def branches(self) -> Branches:
@@ -120,9 +124,9 @@ class SwitchedFeeder:
         return Branches(self.network, self.switches)
 
     @cached_property
-    def flow(self) -> MeshedFlow:
+    def flow(self) -> MeshedFlow | FlowInStates:
         """Solver of its states."""
-        return MeshedFlow(self.network, self.branches.ties)
+        return self.by_phase or MeshedFlow(self.network, self.branches.ties)
 
     @cached_property
     def out(self) -> Flags:
@@ -516,7 +520,11 @@ class _Orders:
         own = self.feeder.formers
         s_kva = found.source_kva + complex(own.p_kw[row], own.q_kvar[row])
         rating = float(own.s_max_kva[row])
-        left = rating - abs(s_kva), own.p_max_kw[row] - s_kva.real, s_kva.real - own.p_min_kw[row]
+        left = (
+            rating - max(abs(s_kva), found.fullest_kva),
+            own.p_max_kw[row] - s_kva.real,
+            s_kva.real - own.p_min_kw[row],
+        )
         share = float(min(left)) / rating if rating else -np.inf
         words = f"{own.id[row]} holds the island with {s_kva.real:.1f} kW, {s_kva.imag:.1f} kvar"
         return Margin(share, f"{words}, {_margin_words(share, '.1%', '')}")

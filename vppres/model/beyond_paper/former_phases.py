@@ -14,9 +14,12 @@ from vppres.model.beyond_paper.addition import Addition, Taken
 from vppres.model.constraints import Named, of_served
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
-from vppres.model.phases import REACH, phased_model
+from vppres.model.phases import REACH, SupplyKey, phased_model
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
+
+Own = tuple[SupplyKey, slice]
+"""A supply, and the phases of a former among those of its sources."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,7 @@ class FormerPhases(Addition):
     apart: ClassVar[bool] = True
     for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
-    formers: list[tuple[int, slice]]
+    formers: list[Own]
     rest_kw: cp.Parameter
     room_kw: cp.Parameter
 
@@ -51,14 +54,11 @@ class FormerPhases(Addition):
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """Parameters of a window."""
         assert isinstance(shape, tuple)
-        model = phased_model(site)
-        of_parts = [
-            model.supplied(np.frombuffer(numbers, dtype=np.int64), fed) for numbers, fed in shape
-        ]
+        of_islands = ((None, ((0, former),)) for former in phased_model(site).formers)
         formers = [
-            (source, slice(3 * at, 3 * at + 3))
-            for source in (*range(1, 1 + len(model.formers)), *of_parts)
-            for at, (_, former) in enumerate(model.supplies[source].fed)
+            (key, slice(3 * at, 3 * at + 3))
+            for key in (*of_islands, *shape)
+            for at, (_, former) in enumerate(key[1])
             if former
         ]
         size = (v.u.shape[0] * len(formers), 3)
@@ -76,12 +76,13 @@ class FormerPhases(Addition):
         sources = model.sources(data)
         rest, rooms = [], []
         for former in self.formers:
-            source, own = former
+            key, own = former
             kvar = _per_unit(site, former, reactive=True)[len(site.customers) :]
             rating = np.zeros(len(kvar))
             rating[: len(ratings)] = ratings
             room_kw = REACH * phased.room_kva[:, own] + np.abs(kvar).T @ rating
-            rooms.append(np.where((sources == source)[:, None], room_kw, ANY_KW))
+            there = sources == model.source_of(key)
+            rooms.append(np.where(there[:, None], room_kw, ANY_KW))
             rest.append(phased.former_offset.real[:, own])
         write(self.rest_kw, np.vstack(rest))
         write(self.room_kw, np.vstack(rooms))
@@ -102,13 +103,14 @@ class FormerPhases(Addition):
         return {most: given_kw <= self.room_kw, least: -given_kw <= self.room_kw}
 
 
-def _per_unit(site: Site, former: tuple[int, slice], reactive: bool) -> Floats:
+def _per_unit(site: Site, former: Own, reactive: bool) -> Floats:
     """Active power of a former's phases for each kW or kvar that an asset draws, (D, 3).
 
     The former itself, a supply and its phases there, is the source.
     """
-    source, own = former
-    one = phased_model(site).supplies[source]
+    key, own = former
+    model = phased_model(site)
+    one = model.supplies[model.source_of(key)]
     per = np.real(one.slopes.former_q if reactive else one.slopes.former_p)[own].T.copy()
     per[one.devices] = 0.0
     return per
