@@ -115,6 +115,9 @@ class Controller:
         SolverLostError
             If the solver process does not start.
         """
+        if options is not None and options.move_switches and scenario.phases:
+            message, cure = "is not for live feeders with phases", "Leave it out."
+            raise InputError.of("options", message, cure, field="move_switches")
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )
