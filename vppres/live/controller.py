@@ -13,7 +13,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import SolveError, VppresError
+from vppres.core.errors import InputError, SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
