@@ -308,6 +308,11 @@ def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path) -> No
         assert proposed["why"].startswith("closing t serves 1 customer until ")
         [alarm] = standing(http, "switch_proposed")
         assert alarm["text"] == f"C{proposed['why'][1:]}; it waits for an operator."
+        overview = json.dumps(http.get("/v1/overview").json())
+        if NODE is not None:
+            page = said_by(PAGE, tmp_path, overview)
+            assert page["next"] == "ask for s open, t closed"
+            assert (page["method"], page["body"]) == ("PUT", {"closed": proposed["closed"]})
         told = http.put("/v1/switching", {"closed": proposed["closed"]}).json()
         assert [words.split(":")[0] for words in told["operations"]] == ["open s", "close t"]
         for name, state in (("s", 0), ("t", 1)):

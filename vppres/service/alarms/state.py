@@ -82,7 +82,9 @@ KINDS = {
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),
     "switch_proposed": AlarmKind(
-        0.0, 0.0, "Look at the operations proposed, and ask for them: PUT /v1/switching."
+        0.0,
+        0.0,
+        "Look at the operations proposed; ask for them here or by PUT /v1/switching.",
     ),
     "longest_off": AlarmKind(
         0.0,

@@ -296,9 +296,9 @@ class Runner:
 
     @property
     def is_switching(self) -> bool:
-        """Whether states of switches are asked for, or an operation was confirmed."""
+        """Whether states of switches are asked for or proposed, or an operation was confirmed."""
         asked = self.store.setting(SWITCHING)[0]
-        return bool(asked.get("closed") or asked.get("issued"))
+        return bool(asked.get("closed") or asked.get("issued") or self.last.get(PROPOSED))
 
     def switchgear(self, asked: Mapping[str, Any] | None = None) -> Switchgear:
         """Switches as they were read last, and as an operator asked for them, or asks now."""

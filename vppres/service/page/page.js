@@ -480,7 +480,10 @@ function showSteps() {
 }
 
 const operator = new Operator(ask, look, () => view.now, () => view);
-$("switching-yes").addEventListener("click", () => operator.act("v1/switching/confirm", "POST", () => ({ switch: view.overview.switching.next }), "switching-said"));
+$("switching-yes").addEventListener("click", () => {
+  const { path, method, body } = switching(view);
+  operator.act(path, method, () => body, "switching-said");
+});
 new ResizeObserver(() => charts?.fit()).observe($("outlook"));
 setInterval(show, 1000);
 (async function watch() {

@@ -193,9 +193,15 @@ function next(view, at) {
   return faults ? `${faults} ${comes(view, at)}` : comes(view, at);
 }
 
-// The order of switching: operations that are left, its state, and the one to confirm; null for none.
+// The order of switching, or what a plan proposes: operations that are left, the state, and what an operator may do next,
+// with its request; null for none.
 export function switching(view) {
   const found = view.overview.switching;
+  const closed = found?.proposed?.closed ?? {};
+  if (Object.keys(closed).length && found.status !== "confirm" && found.status !== "waiting") {
+    const { order, why } = found.proposed;
+    return { operations: order, words: `Proposed: ${why}.`, next: `ask for ${list(states(closed))}`, path: "v1/switching", method: "PUT", body: { closed } };
+  }
   if (!found || found.status === "none") return null;
   const { status, operations, reason, next } = found;
   const words = {
@@ -204,9 +210,13 @@ export function switching(view) {
     stopped: `Stopped: ${reason}`,
     done: "All switches are as asked.",
   }[status];
-  const asked = Object.entries(found.asked).map(([name, closed]) => `${name} ${closed ? "closed" : "open"}`);
   const verb = next && found.operations[0].startsWith("close ") ? "close" : "open";
-  return { operations, words: `Asked for: ${list(asked)}. ${words}`, next: next ? `${verb} ${next}` : "" };
+  const request = { path: "v1/switching/confirm", method: "POST", body: { switch: next } };
+  return { operations, words: `Asked for: ${list(states(found.asked))}. ${words}`, next: next ? `${verb} ${next}` : "", ...request };
+}
+
+function states(closed) {
+  return Object.entries(closed).map(([name, is]) => `${name} ${is ? "closed" : "open"}`);
 }
 
 // Lines and buses that are out of service now, or will be; empty for none.
