@@ -6,11 +6,14 @@ as it is: a step counts a customer of the first tier as off if it was so there, 
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,16 +92,24 @@ OTHERS: dict[str, dict[str, Told]] = {
 
 @dataclass(frozen=True)
 class Lie:
-    """False reading of a quantity, of some assets or of all; ``instead`` has whose truth is told."""
+    """False reading of a quantity from a step on, of some assets or of all.
+
+    ``instead`` has whose truth is told.
+    """
 
     quantity: str
     name: str
     told: Told
     assets: tuple[str, ...] = ()
     instead: tuple[tuple[str, str], ...] = ()
+    since: int = 0
 
     def __str__(self) -> str:
         return f"{self.quantity} of {', '.join(self.assets) or 'all'}: {self.name}"
+
+    def is_of(self, one: Series) -> bool:
+        """Whether it is told in place of a reading."""
+        return one["quantity"] == self.quantity and (not self.assets or one["asset"] in self.assets)
 
 
 def lies_of(site: Scenario) -> list[Lie]:
@@ -141,27 +152,26 @@ def _swapped(quantity: str, one: str, other: str) -> Lie:
 
 @dataclass
 class Way:
-    """Readings as they arrive when some sensors lie from a step on."""
+    """Readings as they arrive when some sensors lie."""
 
     lies: Sequence[Lie]
-    since: int
-    _true: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
+    true: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
 
     def arriving(self, t: int, sent: Iterable[Series]) -> list[Series]:
         """Readings that arrive at a service."""
         sent = list(sent)
         for one in sent:
-            self._true.setdefault(_key(one), []).append(float(one["values"][0]))
+            self.true.setdefault(_key(one), []).append(float(one["values"][0]))
         return [self._told(t, one) for one in sent]
 
     def _told(self, t: int, one: Series) -> Series:
         value: float | None = float(one["values"][0])
-        for lie in self.lies if t >= self.since else ():
-            if one["quantity"] == lie.quantity and (not lie.assets or one["asset"] in lie.assets):
+        for lie in self.lies:
+            if t >= lie.since and lie.is_of(one):
                 asset, quantity, phase = _key(one)
                 of_whom = (dict(lie.instead).get(asset, asset), quantity, phase)
-                true = self._true.get(of_whom, [value or 0.0])
-                value = lie.told(true, max(len(true) - 1 - (t - self.since), 0))
+                true = self.true.get(of_whom, [value or 0.0])
+                value = lie.told(true, max(len(true) - 1 - (t - lie.since), 0))
         return {**one, "values": [value]}
 
 
@@ -182,24 +192,54 @@ AGAIN = pd.Timedelta("5s")
 """After which the substation answers what it is asked again."""
 
 
-def off_with_grid(place: Place, lies: Sequence[Lie], since: int) -> list[str]:
+@dataclass(frozen=True)
+class Begun:
+    """Some steps of a place in which every sensor was true, before the service begins again."""
+
+    place: Place
+    since: int  #: the first step that is left
+    folder: Path  #: state that the service left behind
+    world: World
+    true: dict[tuple[str, str, str], list[float]]  #: readings that have arrived
+
+
+def begun(place: Place, since: int, folder: Path) -> Begun:
+    """The steps before the first in which sensors may lie, which are alike for all lies."""
+    first = Begun(place, 0, folder, World(place.come, place.options), {})
+    way = Way([])
+    if since:
+        assert _played(first, way, range(since)) == []
+    return replace(first, since=since, true=way.true)
+
+
+def off_with_grid(begun: Begun, lies: Sequence[Lie]) -> list[str]:
     """Customers of the first tier that were off while there was grid, step by step.
 
     What the service asks again is answered by the same sensors, the liars among them.
     """
-    world = World(place.come, place.options)
-    way = Way(lies, since)
-    clock = SetClock(place.come.grid.start)
+    assert all(lie.since >= begun.since for lie in lies)
+    way = Way(lies, deepcopy(begun.true))
+    steps = range(begun.since, begun.place.come.grid.n_steps)
+    with tempfile.TemporaryDirectory() as folder:
+        if begun.since:
+            shutil.copytree(begun.folder, folder, dirs_exist_ok=True)
+        return _played(replace(begun, folder=Path(folder), world=deepcopy(begun.world)), way, steps)
+
+
+def _played(begun: Begun, way: Way, steps: range) -> list[str]:
+    place, world = begun.place, begun.world
+    times = place.come.grid.times
+    clock = SetClock(times[steps[0]])
     found = []
     service = Service(place.site, place.options, paced=True)
-    with tempfile.TemporaryDirectory() as folder, serving(service, folder, clock) as (http, runner):
-        for t, now in enumerate(place.come.grid.times):
-            clock.set(now)
+    with serving(service, begun.folder, clock) as (http, runner):
+        for t in steps:
+            clock.set(times[t])
             sent = way.arriving(t, world.readings(t))
             assert http.post("/v1/telemetry", {"series": sent}).status == 200
             plan = http.post("/v1/steps").json()
             if plan.get("asked_again"):
-                clock.set(now + AGAIN)
+                clock.set(times[t] + AGAIN)
                 again = way.arriving(t, _again(place.come, t))
                 http.post("/v1/telemetry", {"series": again})
                 plan = runner.anew() or plan
@@ -208,7 +248,7 @@ def off_with_grid(place: Place, lies: Sequence[Lie], since: int) -> list[str]:
             if off.any() and place.come.grid_limit_kw[t] > 0.0:
                 names = ", ".join(map(str, place.come.customers.id[off]))
                 why = (plan["solve"] or plan).get("fallback_reason", "")
-                found.append(f"{written(now)}: {names} off; {plan['estimated']} {why}")
+                found.append(f"{written(times[t])}: {names} off; {plan['estimated']} {why}")
     return found
 
 
@@ -292,8 +332,13 @@ AGREE = {"zero", "missing"}
 what a true loss looks like."""
 
 
-def pairs_of(lies: Sequence[Lie], count: int, seed: int) -> list[tuple[Lie, Lie]]:
-    """Some pairs of lies of different sensors, without those that look like a true loss."""
+def pairs_of(
+    lies: Sequence[Lie], count: int, seed: int, starts: Sequence[int] = (0,)
+) -> list[tuple[Lie, Lie]]:
+    """Some pairs of lies of different sensors, without those that look like a true loss.
+
+    Each lie of a pair begins at a step of its own of ``starts``.
+    """
     rng = np.random.default_rng([seed, 57])
     every = [
         (one, other)
@@ -301,7 +346,12 @@ def pairs_of(lies: Sequence[Lie], count: int, seed: int) -> list[tuple[Lie, Lie]
         if (one.quantity, one.assets) != (other.quantity, other.assets)
         and not _look_like_a_loss({one.quantity: one.name, other.quantity: other.name})
     ]
-    return [every[i] for i in rng.choice(len(every), min(count, len(every)), replace=False)]
+    drawn = rng.choice(len(every), min(count, len(every)), replace=False)
+    since = rng.choice(starts, (len(drawn), 2))
+    return [
+        (replace(every[i][0], since=int(one)), replace(every[i][1], since=int(other)))
+        for i, (one, other) in zip(drawn, since, strict=True)
+    ]
 
 
 def _look_like_a_loss(told: dict[str, str]) -> bool:
