@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.support.made_up_runs import small_scenario
+from tests.support.refusals import refusal
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.baselines import ReserveRule
-from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -108,6 +108,4 @@ def test_perfect_information_is_the_best(tiny: Scenario) -> None:
     ({"notice_h": -1.0}, "options, reserve.notice_h = -1.0: must be zero or positive. Give hours."),
 ])  # fmt: skip
 def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:
-    with pytest.raises(InputError) as error:
-        ReserveRule(**rule)
-    assert str(error.value) == text
+    assert refusal(ReserveRule, **rule) == text

@@ -9,11 +9,11 @@ import pytest
 
 from benchmarks.random_feeders import random_scenario
 from experiments.studies.faults import drawn_faults
+from tests.support.refusals import refusal
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.faults import (
     QUANTITIES,
@@ -59,9 +59,7 @@ def test_fault_of_an_item_that_is_not_there_is_named(tiny: Scenario) -> None:
     plan = FaultPlan(
         measurements=(MeasurementFault("load", True, 0, 1, (0, 3)),), trips=(BatteryTrip(2, 0, 1),)
     )
-    with pytest.raises(InputError) as error:
-        FaultInjector(plan, tiny)
-    assert str(error.value).splitlines() == [
+    assert refusal(FaultInjector, plan, tiny).splitlines() == [
         "faults, load = 3: is not in the scenario. Give a position from 0 to 2.",
         "faults, soc = 2: is not in the scenario. Give a position from 0 to 1.",
     ]

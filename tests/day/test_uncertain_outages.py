@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from experiments.studies.faults import drawn_faults
+from tests.support.refusals import refusal
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.outages import believed_outages
@@ -253,9 +254,7 @@ def test_what_has_no_meaning_is_refused(tiny: Scenario, controller: str, kind: s
 
 
 def test_a_horizon_within_a_step_is_refused(tiny: Scenario) -> None:
-    with pytest.raises(InputError) as caught:
-        run_day(tiny, RunOptions(horizon_h=0.5))
-    assert str(caught.value) == (
+    assert refusal(run_day, tiny, RunOptions(horizon_h=0.5)) == (
         "options, horizon_h = 0.5: is shorter than a step of 1 h. Give 1 or more, or 0 for the present "
         "step alone."
     )

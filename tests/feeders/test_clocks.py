@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.refusals import refusal
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.new.options import parse_outage
 from vppres.feeders.series.clocks import days_later, grid_from, in_utc, local_midnight, time_of_day
@@ -39,9 +40,7 @@ def test_length_of_a_local_day(day: str, zone: str, hours: float, first: str, la
 
 
 def test_steps_that_do_not_fill_a_day() -> None:
-    with pytest.raises(InputError) as caught:
-        grid_from(local_midnight("2025-03-30", LONDON), 1, 240.0, LONDON)
-    assert str(caught.value) == (
+    assert refusal(grid_from, local_midnight("2025-03-30", LONDON), 1, 240.0, LONDON) == (
         "options, step_minutes = 240.0: does not divide the 23 hours from "
         "2025-03-30T00:00:00+00:00. Give a step that divides an hour, for example 60, 30 or 15."
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vppres.core.errors import InputError
+from tests.support.refusals import refusal
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.dss.recheck import solved_steps
@@ -546,9 +546,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_has_no_counterpart_is_refused_by_name(name: str, tmp_path: Path) -> None:
     lines, message = REFUSED[name]
-    with pytest.raises(InputError) as caught:
-        import_network(written(tmp_path, lines))
-    assert str(caught.value).startswith(f"odd.dss: {message}")
+    assert refusal(import_network, written(tmp_path, lines)).startswith(f"odd.dss: {message}")
 
 
 @pytest.mark.daily

@@ -13,6 +13,7 @@ import pytest
 from pandapower.timeseries import DFData
 
 from tests.support.command_line import call
+from tests.support.refusals import refusal
 from tests.support.small_nets import buses_in_a_row
 from vppres.core.errors import InputError
 from vppres.core.text import named
@@ -132,9 +133,7 @@ def test_gaps_are_filled_with_a_note(feeder: ImportedFeeder, tmp_path: Path) -> 
         "Missing values of the series lie on a straight line between their neighbours: bakery "
         "(2 values, up to 120 min)." in assumptions(feeder, options(tmp_path))
     )
-    with pytest.raises(InputError) as caught:
-        new_scenario(feeder, options(tmp_path, max_gap_minutes=60.0))
-    assert str(caught.value) == (
+    assert refusal(new_scenario, feeder, options(tmp_path, max_gap_minutes=60.0)) == (
         "a.csv, bakery: has a gap of 120 min at 2025-07-01T05:00:00Z, and 60 min are filled at most. "
         "Complete the series, choose other days, or allow longer gaps with --max-gap."
     )
@@ -170,9 +169,7 @@ def test_refusals(
     feeder: ImportedFeeder, tmp_path: Path, columns: dict[str, Any], message: str
 ) -> None:
     write(tmp_path, "a.csv", **columns)
-    with pytest.raises(InputError) as caught:
-        new_scenario(feeder, options(tmp_path))
-    assert str(caught.value) == message
+    assert refusal(new_scenario, feeder, options(tmp_path)) == message
 
 
 def test_problems_of_one_kind_are_folded(feeder: ImportedFeeder, tmp_path: Path) -> None:
@@ -251,9 +248,7 @@ def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path
     assert len(feeder.profiles) == 2
     rows = {"profile_step_minutes": 60.0} if index.dtype == "int64" else {}
     if rows:
-        with pytest.raises(InputError) as caught:
-            new_scenario(feeder, options("source"))
-        assert str(caught.value) == (
+        assert refusal(new_scenario, feeder, options("source")) == (
             "ConstControl: has rows without times. Say how long a row is with --profile-step, in "
             "minutes; the first begins with the scenario."
         )

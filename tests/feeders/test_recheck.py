@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vppres.core.errors import InputError
+from tests.support.refusals import refusal
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.report.rechecked import summary_of
 
@@ -195,9 +195,7 @@ def test_small_differences_need_no_cause(tmp_path: Path) -> None:
 
 def test_a_run_of_another_feeder_is_refused(tmp_path: Path) -> None:
     customers = run()["customers"].replace({"bus": {"b": "elsewhere"}})
-    with pytest.raises(InputError) as caught:
-        recheck_opendss(run(customers=customers), lane(tmp_path))
-    assert str(caught.value) == (
+    assert refusal(recheck_opendss, run(customers=customers), lane(tmp_path)) == (
         "lane.dss: has no load at the buses of 1 customers: bus elsewhere. Give the file that the "
         "run's scenario was made from."
     )

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.refusals import refusal
 from tests.support.tiny_day import tiny_scenario
 from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
-from vppres.core.errors import InputError
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -172,18 +172,16 @@ def test_without_pv_the_forecast_has_no_column(tiny: Scenario) -> None:
 def test_steps_outside_the_day_or_in_the_past_are_refused(
     tiny: Scenario, t0: int, steps: range, step: int
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        Forecaster(tiny, RANDOM, seed=3).at(t0, steps)
-    assert str(caught.value) == (
+    assert refusal(Forecaster(tiny, RANDOM, seed=3).at, t0, steps) == (
         f"forecast, step = {step}: lies outside 2 .. 5. Ask for steps "
         "from the current one to the last of the day."
     )
 
 
 def test_wrong_errors_are_all_named() -> None:
-    with pytest.raises(InputError) as caught:
-        ForecastErrors(load_bias=-1.5, load_alpha_per_h=-0.1, pv_bias=np.nan)
-    assert str(caught.value).splitlines() == [
+    assert refusal(
+        ForecastErrors, load_bias=-1.5, load_alpha_per_h=-0.1, pv_bias=np.nan
+    ).splitlines() == [
         "options, errors.load_bias = -1.5: must be a number not below -1. Give a share, for "
         "example 0.05.",
         "options, errors.load_alpha_per_h = -0.1: must be a number not below 0. Give a share, for "
@@ -194,9 +192,7 @@ def test_wrong_errors_are_all_named() -> None:
 
 
 def test_negative_seed_is_refused(tiny: Scenario) -> None:
-    with pytest.raises(InputError) as caught:
-        Forecaster(tiny, RANDOM, seed=-1)
-    assert str(caught.value) == (
+    assert refusal(Forecaster, tiny, RANDOM, seed=-1) == (
         "options, seed = -1: must not be negative. Give a whole number from zero."
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.refusals import refusal
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.core.errors import InputError
 from vppres.day.forecasting import OWN_SERIES, MeasuredForecasts, forecasts_of
@@ -156,9 +157,7 @@ def test_a_history_may_have_gaps(tmp_path: Path) -> None:
     ("", "load_kw.csv: has no row"),
 ])  # fmt: skip
 def test_mistakes_in_a_history_are_named(tmp_path: Path, rows: str, message: str) -> None:
-    with pytest.raises(InputError) as error:
-        read_history(history_file(tmp_path / "h", f"time,a\n{rows}\n"))
-    assert message in str(error.value)
+    assert message in refusal(read_history, history_file(tmp_path / "h", f"time,a\n{rows}\n"))
 
 
 def test_no_history_is_named(tmp_path: Path) -> None:
@@ -208,9 +207,7 @@ def test_mistakes_in_forecasts_are_named(
     tiny: Scenario, tmp_path: Path, text: str, message: str
 ) -> None:
     options = RunOptions(forecaster="file", forecast_file=str(quantile_file(tmp_path, text)))
-    with pytest.raises(InputError) as error:
-        Day(tiny, options)
-    assert message in str(error.value)
+    assert message in refusal(Day, tiny, options)
 
 
 def test_a_file_of_forecasts_must_be_given(tiny: Scenario) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.refusals import refusal
 from vppres.core.errors import InputError, ReportError, StorageError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -247,9 +248,9 @@ def test_links_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
     assert str(caught.value) == (
         f"{link}: is a symbolic link. Name the file itself, or choose another name."
     )
-    with pytest.raises(InputError) as caught:
-        check_file(thesis)
-    assert str(caught.value) == f"{thesis}: exists and is not a file. Choose another name."
+    assert (
+        refusal(check_file, thesis) == f"{thesis}: exists and is not a file. Choose another name."
+    )
 
 
 def test_a_link_to_a_run_is_followed(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 
 from tests.support.mutations import EDITS, FILES, Edit, refuted
 from tests.support.processor import processor_s_below
+from tests.support.refusals import refusal
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -343,9 +344,11 @@ def test_numbers_that_no_equipment_has_are_refused(
         "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?"),
 ])  # fmt: skip
 def test_python_has_the_same_door_as_files(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        check_scenario(replace(tiny_scenario(), **change))
-    assert str(caught.value).splitlines()[0].startswith(message)
+    assert (
+        refusal(check_scenario, replace(tiny_scenario(), **change))
+        .splitlines()[0]
+        .startswith(message)
+    )
 
 
 @pytest.mark.parametrize(("soc", "read"), [(0.15 - 1e-7, 0.15), (0.85 + 9e-7, 0.85)])
@@ -363,9 +366,7 @@ def test_a_rounding_error_of_the_state_of_charge_is_clipped_with_a_note(
 
 @pytest.mark.parametrize("soc", [0.15 - 2e-6, 0.9, float("nan")])
 def test_a_state_of_charge_outside_its_limits_is_refused_by_name(soc: float) -> None:
-    with pytest.raises(InputError) as caught:
-        replace(tiny_scenario().batteries, soc_initial=[0.15, soc])
-    assert str(caught.value) == (
+    assert refusal(replace, tiny_scenario().batteries, soc_initial=[0.15, soc]) == (
         f"battery small, soc_initial = {soc}: must lie between soc_min (0.15) and soc_max (0.85). "
         "Correct the state of charge at the start or the limits."
     )
@@ -483,9 +484,7 @@ def test_what_is_no_file_of_the_folder_is_named(
         os.mkfifo(path)
     else:
         path.symlink_to(elsewhere)
-    with pytest.raises(InputError) as caught:
-        read_scenario(tiny_folder)
-    assert f"{file}: {words}" in str(caught.value)
+    assert f"{file}: {words}" in refusal(read_scenario, tiny_folder)
 
 
 def test_a_link_within_the_folder_is_read(tiny_folder: Path) -> None:

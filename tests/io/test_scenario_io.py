@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.pages import attribute_table_markdown
+from tests.support.refusals import refusal
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.io import (
@@ -304,9 +305,7 @@ def test_spreadsheet_habits_are_read(tiny: Scenario, tiny_folder: Path) -> None:
 def test_an_unwritable_scenario_is_refused_before_anything_is_written(
     tiny: Scenario, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        write_scenario(replace(tiny, name="a b"), tmp_path / "out")
-    assert str(caught.value) == (
+    assert refusal(write_scenario, replace(tiny, name="a b"), tmp_path / "out") == (
         "scenario.toml, name = a b: is not allowed. Give the short name of the scenario: letters, "
         "digits, '-', '_' and '.'."
     )
@@ -368,9 +367,7 @@ def test_find_by_name_beside_a_folder(tiny_folder: Path, monkeypatch: pytest.Mon
     assert str(caught.value) == (
         "scenario tinny: is neither a packaged scenario nor a folder. Did you mean tiny?"
     )
-    with pytest.raises(InputError) as caught:
-        find_scenario("x")
-    assert str(caught.value) == (
+    assert refusal(find_scenario, "x") == (
         "scenario x: is neither a packaged scenario nor a folder. "
         "Give the path of a scenario folder. Known: tiny."
     )

@@ -14,6 +14,7 @@ from benchmarks.random_feeders import random_state
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.exporting import exporting_window
+from tests.support.refusals import refusal
 from tests.support.set_points import decision
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,
@@ -220,9 +221,7 @@ def test_two_limits_are_refused(tiny_folder: Path) -> None:
     file = tiny_folder / "system.csv"
     head, *rows = file.read_text().splitlines()
     file.write_text("\n".join([head + ",export_limit_kw", *(row + ",5" for row in rows)]) + "\n")
-    with pytest.raises(InputError) as error:
-        read_scenario(tiny_folder)
-    assert str(error.value) == (
+    assert refusal(read_scenario, tiny_folder) == (
         "scenario.toml, network.export_limit_kw = 0.0: is also a column of system.csv. "
         "Keep the key for one limit of all steps, or the column for one of each step."
     )

@@ -16,6 +16,7 @@ import pytest
 from benchmarks.random_feeders import random_state, random_window
 from tests.support.agreement import assert_agree
 from tests.support.dispatch_check import check_dispatch
+from tests.support.refusals import refusal
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,
     DARK,
@@ -29,7 +30,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.control.planner import OnePass, plan_with_rules
-from vppres.core.errors import InfeasibleError, InputError
+from vppres.core.errors import InfeasibleError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -494,9 +495,9 @@ def test_demand_is_higher_just_where_the_state_says_so(
 
 
 def test_values_out_of_range_are_named() -> None:
-    with pytest.raises(InputError) as error:
-        SwitchingRules(min_served_h=-1.0, cold_load_factor=0.5, max_actions_per_customer=-1)
-    assert str(error.value).splitlines() == [
+    assert refusal(
+        SwitchingRules, min_served_h=-1.0, cold_load_factor=0.5, max_actions_per_customer=-1
+    ).splitlines() == [
         "options, switching.min_served_h = -1.0: must be zero or positive. Give hours.",
         "options, switching.max_actions_per_customer = -1: must not be negative. Give a whole "
         "number from zero.",

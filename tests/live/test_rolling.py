@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.support.long_days import repeated
+from tests.support.refusals import refusal
 from tests.support.same_steps import same
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -183,9 +184,7 @@ def test_what_does_not_fit_is_refused_by_name_and_changes_nothing(
     truth = rolled(tiny, 12)
     controller = Controller.of(truth.between(0, 6), RunOptions(isolate=False))
     before = controller.scenario
-    with pytest.raises(InputError) as caught:
-        controller.extend(wrong(Feed.of(truth.between(6, 12)), name))  # type: ignore[arg-type]
-    assert text in str(caught.value)
+    assert text in refusal(controller.extend, wrong(Feed.of(truth.between(6, 12)), name))
     assert controller.scenario is before
 
 

@@ -17,6 +17,7 @@ from benchmarks.random_feeders import Window, random_scenario, random_window
 from experiments.studies.islands import claims_of, imbalance_kw, random_day
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
+from tests.support.refusals import refusal
 from tests.support.small_windows import CHECKER_TOLERANCE, window
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
@@ -516,9 +517,7 @@ def test_all_decisions_of_a_window_share_its_time(
         "of the inverter's rating, for example 0.1."),
 ])  # fmt: skip
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError) as error:
-        RunOptions(**options)
-    assert str(error.value) == message
+    assert refusal(RunOptions, **options) == message
 
 
 def test_named_batteries_and_mode_survive_the_files(tiny: Scenario, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vppres.core.errors import InputError
+from tests.support.refusals import refusal
 from vppres.io.find import load_scenario
 from vppres.outlook.outlook import SeenOutage
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -147,9 +147,7 @@ def test_outages_that_cannot_be(tmp_path: Path, rows: str, words: str) -> None:
     warnings, outages = tmp_path / "warnings.csv", tmp_path / "outages.csv"
     warnings.write_text("issued_at,onset_likely\n2022-07-19T06:00Z,2022-07-19T12:00Z\n")
     outages.write_text("start,end\n" + rows)
-    with pytest.raises(InputError) as error:
-        WarningScores.of_files(warnings, outages)
-    assert words in str(error.value)
+    assert words in refusal(WarningScores.of_files, warnings, outages)
 
 
 def test_estimates_of_restoration_are_learned_from_what_came() -> None:
