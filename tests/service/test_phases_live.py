@@ -20,6 +20,8 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
+from vppres.scenario.earthing import unearthed
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.http.serve import opened
@@ -179,6 +181,23 @@ def test_phases_of_readings(evening: Scenario, sent: Any, words: str) -> None:
     assert (words in found) if words else not problems
     if len(sent) == 3:
         assert [one.value for one in good if one.quantity == "load_kw"] == [30.0]
+
+
+def test_what_earths_an_island_is_reckoned_once_for_all_readings(
+    evening: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is a system of equations of the whole feeder."""
+    reckoned = []
+
+    def counted(phases: Phases, *given: Any, **named: Any) -> set[str]:
+        reckoned.append(phases)
+        return unearthed(phases, *given, **named)
+
+    monkeypatch.setattr("vppres.scenario.earthing.unearthed", counted)
+    batch = [reading(bus, "v_pu", phase) for bus, phase in evening.phases.measured] * 2
+    good, refused = readings_of(batch, evening, evening.grid.end)
+    assert len(good) == len(batch) > 20 and not refused
+    assert len(reckoned) <= 1
 
 
 def reading(asset: str, quantity: str, phase: str | None) -> Readings:

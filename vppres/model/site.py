@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ ANY_PU = (0.1, 2.0)
 """Limits of voltages that have none."""
 
 
+@lru_cache(maxsize=16)
 def as_tree(network: Network) -> Network:
     """The tree of a phased feeder's buses: lines without ratios and shunts, no voltage limited."""
     none = np.empty(0)

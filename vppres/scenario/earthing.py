@@ -7,6 +7,7 @@ the millionth of a transformer's rating hold no voltage to ground against a cust
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -115,11 +116,13 @@ def with_grid(phases: Phases) -> Phases:
     return replace(phases, buses=tuple(rows))
 
 
+@lru_cache(maxsize=16)
 def in_island(phases: Phases, former: str) -> Phases:
     """The tables with the limits of an island that a battery forms.
 
     They are between phases at buses of three that nothing earths there, but for those at which an
-    asset has a coil to ground: its own voltage is to ground.
+    asset has a coil to ground: its own voltage is to ground. Those of the same feeder are reckoned
+    once: each reading of a voltage asks for them.
     """
     bare = unearthed_by(phases, former)
     bare -= {row.bus for row in phases.connections if row.to_ground}
