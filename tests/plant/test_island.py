@@ -87,21 +87,18 @@ def test_mismatch_is_shared_by_rating(tiny: Scenario) -> None:
     assert done.mismatch_kw[0] / done.mismatch_kw[1] == pytest.approx(60.0 / 35.0)
 
 
-def test_reactive_mismatch_is_the_references_own(tiny: Scenario) -> None:
+@pytest.mark.parametrize(("reference", "soc", "bus"), [(0, [0.6, 0.6], 1), (1, [0.15, 0.85], 3)])
+def test_reactive_mismatch_is_that_of_the_largest_inverter_that_has_energy(
+    tiny: Scenario, reference: int, soc: list[float], bus: int
+) -> None:
     day = both_form(replace(tiny, load_kw=tiny.load_kw * 0.3))
-    done = settle(day, decision(day, batt_q_kvar=[0.0, 2.0]), state(0.6))
-    demand = day.load_kvar[T].sum()
+    told_kvar = np.full(2, 2.0)
+    told_kvar[reference] = 0.0
+    done = settle(day, decision(day, batt_q_kvar=told_kvar), state(soc))
     lost = (done.ac.q_from_kvar - done.ac.q_to_kvar).sum()
-    assert done.realised.batt_q_kvar == pytest.approx([demand + lost - 2.0, 2.0], abs=1e-5)
-
-
-def test_the_reference_is_the_largest_inverter_that_has_energy(tiny: Scenario) -> None:
-    day = both_form(replace(tiny, load_kw=tiny.load_kw * 0.3))
-    done = settle(day, decision(day, batt_q_kvar=[2.0, 0.0]), state([0.15, 0.85]))
-    demand = day.load_kvar[T].sum()
-    lost = (done.ac.q_from_kvar - done.ac.q_to_kvar).sum()
-    assert done.realised.batt_q_kvar == pytest.approx([2.0, demand + lost - 2.0], abs=1e-5)
-    assert done.ac.v_pu[3] == pytest.approx(1.0, abs=1e-12)
+    told_kvar[reference] = day.load_kvar[T].sum() + lost - 2.0
+    assert done.realised.batt_q_kvar == pytest.approx(told_kvar, abs=1e-5)
+    assert done.ac.v_pu[bus] == pytest.approx(1.0, abs=1e-12)
 
 
 def test_missing_power_sheds_the_least_weight_per_kw_of_the_lowest_tier(tiny: Scenario) -> None:

@@ -146,28 +146,26 @@ def test_a_contradicted_loss_of_the_grid_comes_first(live: Live, tmp_path: Path)
     ]
 
 
+def rehearsed(day: Scenario, dark: slice, folder: Path) -> dict[str, Any]:
+    """What the page says in a rehearsal of a day with an outage."""
+    limits_kw = day.grid_limit_kw.copy()
+    limits_kw[dark] = 0.0
+    service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
+    with client(service, folder / "state") as http:
+        http.post("/v1/steps")
+        return told(http, folder)
+
+
 def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_path: Path) -> None:
     """The service knows it from the scenario."""
-    day = site(tiny)
-    limits_kw = day.grid_limit_kw.copy()
-    limits_kw[1:4] = 0.0
-    service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
-    with client(service, tmp_path / "state") as http:
-        http.post("/v1/steps")
-        found = told(http, tmp_path)
-        assert found["verdict"][2] == "Outage known from the scenario, from 01:00, in 60 min."
-        assert "Announced: no outage." in found["facts"]
+    found = rehearsed(site(tiny), slice(1, 4), tmp_path)
+    assert found["verdict"][2] == "Outage known from the scenario, from 01:00, in 60 min."
+    assert "Announced: no outage." in found["facts"]
 
 
 def test_an_outage_of_a_scenario_is_told_as_such(tiny: Scenario, tmp_path: Path) -> None:
     """Its end, and beside it what no event says."""
-    day = site(tiny)
-    limits_kw = day.grid_limit_kw.copy()
-    limits_kw[:2] = 0.0
-    service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
-    with client(service, tmp_path / "state") as http:
-        http.post("/v1/steps")
-        found = told(http, tmp_path)
+    found = rehearsed(site(tiny), slice(2), tmp_path)
     assert found["verdict"][1].startswith("Outage until 02:00 by the scenario")
     assert found["announced"] == "No event; the scenario has an outage until 02:00."
 
