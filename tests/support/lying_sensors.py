@@ -192,24 +192,25 @@ AGAIN = pd.Timedelta("5s")
 """After which the substation answers what it is asked again."""
 
 
+Setpoints = list[dict[str, Any]]
+
+
 @dataclass(frozen=True)
 class Begun:
     """Some steps of a place in which every sensor was true, before the service begins again."""
 
     place: Place
-    since: int  #: the first step that is left
     folder: Path  #: state that the service left behind
-    world: World
     true: dict[tuple[str, str, str], list[float]]  #: readings that have arrived
+    told: list[Setpoints]  #: what the plant was told, by step
 
 
 def begun(place: Place, since: int, folder: Path) -> Begun:
     """The steps before the first in which sensors may lie, which are alike for all lies."""
-    first = Begun(place, 0, folder, World(place.come, place.options), {})
-    way = Way([])
+    found = Begun(place, folder, {}, [])
     if since:
-        assert _played(first, way, range(since)) == []
-    return replace(first, since=since, true=way.true)
+        assert _played(found, Way([], found.true), range(since)) == []
+    return found
 
 
 def off_with_grid(begun: Begun, lies: Sequence[Lie]) -> list[str]:
@@ -217,18 +218,21 @@ def off_with_grid(begun: Begun, lies: Sequence[Lie]) -> list[str]:
 
     What the service asks again is answered by the same sensors, the liars among them.
     """
-    assert all(lie.since >= begun.since for lie in lies)
-    way = Way(lies, deepcopy(begun.true))
-    steps = range(begun.since, begun.place.come.grid.n_steps)
+    since = len(begun.told)
+    assert all(lie.since >= since for lie in lies)
     with tempfile.TemporaryDirectory() as folder:
-        if begun.since:
+        if since:
             shutil.copytree(begun.folder, folder, dirs_exist_ok=True)
-        return _played(replace(begun, folder=Path(folder), world=deepcopy(begun.world)), way, steps)
+        goes_on = replace(begun, folder=Path(folder), told=[*begun.told])
+        way = Way(lies, deepcopy(begun.true))
+        return _played(goes_on, way, range(since, begun.place.come.grid.n_steps))
 
 
 def _played(begun: Begun, way: Way, steps: range) -> list[str]:
-    place, world = begun.place, begun.world
-    times = place.come.grid.times
+    place, times = begun.place, begun.place.come.grid.times
+    world = World(place.come, place.options)
+    for t, setpoints in enumerate(begun.told):
+        world.obey(t, setpoints)
     clock = SetClock(times[steps[0]])
     found = []
     service = Service(place.site, place.options, paced=True)
@@ -243,7 +247,8 @@ def _played(begun: Begun, way: Way, steps: range) -> list[str]:
                 again = way.arriving(t, _again(place.come, t))
                 http.post("/v1/telemetry", {"series": again})
                 plan = runner.anew() or plan
-            record = world.obey(t, http.get("/v1/setpoints").json()["setpoints"])
+            begun.told.append(http.get("/v1/setpoints").json()["setpoints"])
+            record = world.obey(t, begun.told[t])
             off = critical_off(place.come, record)
             if off.any() and place.come.grid_limit_kw[t] > 0.0:
                 names = ", ".join(map(str, place.come.customers.id[off]))
