@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from tests.support.live_service import NOON, heard, readings, running
 from tests.support.sequences import Player, Row, above, below, has, one, some_not
+from vppres.live.ranges import RANGES
 from vppres.scenario.scenario import Scenario
 
 DAY = "2026-11-21T"
@@ -24,6 +26,8 @@ CHEAP = {
 LIMIT = {"type": "import_limit", "start": f"{DAY}12:00:00Z", "limit_kw": 180.0}
 QUANTILES = {"p10": [70.0, 80.0], "p50": [75.0, 90.0], "p90": [80.0, 100.0]}
 FORECAST = {"issued_at": f"{DAY}11:00:00Z", "start": f"{DAY}13:00:00Z", "resolution": "PT1H"}
+AT_NOON = {**FORECAST, "start": f"{DAY}12:00:00Z"}
+MOST_KW = RANGES["load_kw"].highest
 MANUAL: dict[str, Any] = {"mode": "manual", "until": f"{DAY}13:30:00Z"}
 BIG = {"kind": "batteries", "asset": "big"}
 SHOP = {"kind": "customers", "asset": "shop"}
@@ -54,6 +58,25 @@ MIXED = {"series": heard(NOON)["series"] + readings(NOON, "soc", {"bigg": 0.5, "
 def IN(words: list[str]) -> bool:
     """The large battery is planned with."""
     return "battery big is out" not in words
+
+
+def begins(words: list[str], how: str) -> bool:
+    """Whether any of some words begins so."""
+    return any(each.startswith(how) for each in words)
+
+
+def spoken(time: str, soc: float, lasts: str = "PT1H") -> dict[str, Any]:
+    """Telemetry of both batteries at a time."""
+    now = pd.Timestamp(f"{DAY}{time}Z")
+    return {"series": readings(now, "soc", {"big": soc, "small": soc}, lasts)}
+
+
+def stale(*what: str) -> Callable[[list[dict[str, str]]], bool]:
+    """These readings are late, and no others."""
+    return lambda late: (
+        {f"{one['asset']} {one['quantity']}": one["state"] for one in late}
+        == (dict.fromkeys(what, "stale"))
+    )
 
 
 def read_grid(time: str, reading: dict[str, Any], alarms: dict[str, Any]) -> list[Row]:
@@ -329,6 +352,78 @@ SEQUENCES: dict[str, list[Row]] = {
             *substation(("12:13", "grid_on", 0.0))["series"],
             {**substation(("12:13", "grid_on", 0.0))["series"][0], "source": "watch"}]}, 200,
             {"": {"accepted": 2, "duplicates": 0, "refused": []}}),
+    ],
+    # Readings.
+    "a forecast has the range of a reading": [
+        *(("12:00", "PUT forecasts/load_kw", {**AT_NOON, "assets": {"shop": {"p50": [share * MOST_KW]}}}, status, {})
+            for share, status in ((1.0, 200), (2.0, 422))),
+        ("12:00", "decide", 0.5, 200, {"status": ("ok", "fallback").__contains__}),
+        ("12:00", "PUT forecasts/pv_kw", {**AT_NOON, "assets": {"roof": {"p50": [20.0], "p90": [2e4]}}}, 422, {
+            "detail": "forecast, pv_kw of roof = 20000.0: is beyond the system's rating of 30 kW. Give the power in kW."}),
+    ],
+    "a reading before the first step holds the island": [  # the scenario begins with 0.15 in the big battery
+        ("12:00", "PUT events/storm", DARK, 201, {}),
+        ("12:00", "POST telemetry", spoken("11:50", 0.62, "PT5M"), 200, {}),
+        ("12:00", "POST steps", None, 200, {
+            "setpoints.hospital.served": True, "late": stale("big soc", "small soc"),
+            "setpoints.*.reason": lambda reasons: not any(why.startswith("default") for why in reasons)}),
+    ],
+    "a reading denies what the plan believed": [  # ten minutes before the next step, in an outage
+        ("12:00", "decide", 0.84, 200, {"expected.soc.big": above(0.6)}),
+        ("12:00", "PUT events/storm", AT_ONE, 201, {}),
+        ("13:00", "POST telemetry", spoken("12:50", 0.25), 200, {}),
+        ("13:00", "POST steps", None, 200, {
+            "late": [], "setpoints.shop.served": False,
+            # Of 160 kWh a tenth is above the lower limit of 0.15.
+            "setpoints": lambda points: -sum(p["p_kw"] for p in points if p["kind"] == "batteries") <= 0.1 * 160.0}),
+    ],
+    "the gate checks what was decided on": [  # a reading that stands still while the battery moved is not believed
+        ("12:00", "decide", 0.2, 200, {}),
+        ("12:00", "PUT events/storm", AT_ONE, 201, {}),
+        ("13:00", "POST telemetry", {"series": readings(NOON, "battery_kw", {"big": 50.0, "small": 30.0})}, 200, {}),
+        ("13:00", "decide", 0.2, 200, {
+            "estimated": has("(frozen)"),
+            "setpoints": lambda points: min(p["p_kw"] for p in points if p["kind"] == "batteries") < -10.0,
+            "setpoints.*.reason": lambda reasons: not any(why.startswith("default") for why in reasons)}),
+    ],
+    "a critical customer that is off on an old reading is an alarm": [
+        ("12:00", "PUT events/storm", DARK, 201, {}),
+        ("12:00", "POST telemetry", spoken("10:00", 0.16), 200, {}),
+        ("12:00", "POST steps", None, 200, {"setpoints.hospital.served": False}),
+        *(("12:00", f"GET {path}", None, 200, {"alarms.critical_off.text": LATE,
+            "alarms": one(kind="critical_off", priority="high", state="raised")})
+            for path in ("alarms", "overview", "status")),
+        ("13:00", "decide", 0.16, 200, {"setpoints.hospital.served": False}),
+        ("13:00", "GET alarms", None, 200, {"alarms.critical_off.text": f"{OFF}.",
+            "alarms": one(kind="critical_off", priority="high", state="raised")}),
+    ],
+    "blind, late and lost are told apart": [  # of the small battery nobody has ever heard: it is left out
+        ("12:00", "hear", {"soc": {"big": 0.5}, "load_kw": {"shop": None}}, 200, {}),
+        ("12:00", "POST steps", None, 200, {
+            "setpoints.small.p_kw": 0.0,
+            "estimated": lambda words: "battery small is out" in words and begins(words, "load shop ")}),
+        # A state of charge of an hour ago is none of now, nor is the demand.
+        ("13:00", "POST steps", None, 200, {"late": stale("big soc", "shop load_kw")}),
+        ("14:00", "POST steps", None, 200, {
+            "late": stale("big soc", "shop load_kw"), "estimated": lambda words: begins(words, "soc big ")}),
+        # What was ordered since goes on to count, as long as it says anything.
+        ("16:00", "POST steps", None, 200, {
+            "late": one(asset="big", quantity="soc", state="lost"), "estimated": IN}),
+        ("16:00", "GET status", None, 200, {"sources": {"scada": f"{DAY}12:00:00Z"}}),
+        ("17:00", "decide", 0.5, 200, {"late.0.asset": "shop"}),  # it comes back by itself
+    ],
+    "a battery that refuses is left out until it is heard": [
+        ("12:00", "PUT events/storm", AT_ONE, 201, {}),
+        ("12:00", "decide", 0.3, 200, {"setpoints.big.p_kw": above(10.0)}),
+        *(("12:05", "POST setpoints/{big}/status", {"status": status, "reason": "locked"}, 200, {"id": has("big")})
+            for status in ("accepted", "rejected")),
+        ("12:05", "GET setpoints", None, 200, {"setpoints.big.status": "rejected", "setpoints.small.status": "new"}),
+        # What it was to store it has not: its old reading still stands.
+        ("13:00", "hear", {"soc": {"small": 0.3}}, 200, {}),
+        ("13:00", "POST steps", None, 200, {
+            "setpoints.big.p_kw": 0.0,
+            "estimated": lambda words: "battery big is out" in words and "soc big 0.3000" in " ".join(words)}),
+        ("14:00", "decide", 0.3, 200, {"estimated": IN}),
     ],
 }  # fmt: skip
 

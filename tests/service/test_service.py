@@ -22,7 +22,6 @@ from tests.support.live_service import (
     client,
     decided,
     heard,
-    readings,
     said,
     site,
     told,
@@ -157,32 +156,6 @@ def test_set_points_end_and_leave_the_default(live: Live) -> None:
     over = http.get("/v1/setpoints?asset=big&at=2026-11-21T13:06:00Z").json()["setpoints"][0]
     assert (over["active"], over["p_kw"], over["q_kvar"]) == (False, 0.0, 0.0)
     assert http.get("/v1/setpoints?at=noon").json()["problems"][0]["message"].startswith("is not a")
-
-
-def test_blind_late_and_lost_are_told_apart(live: Live) -> None:
-    http, clock = live
-    # Of the small battery nobody has ever heard: it is left out.
-    clock.set(NOON)
-    http.post("/v1/telemetry", {"series": readings(NOON, "soc", {"big": 0.5})})
-    http.post("/v1/telemetry", {"series": readings(NOON, "load_kw", {"shop": None})})
-    plan = http.post("/v1/steps").json()
-    assert said(plan, "batteries")["small"]["p_kw"] == 0.0
-    assert "battery small is out" in plan["estimated"]
-    assert any(words.startswith("load shop ") for words in plan["estimated"])
-    ages = {}
-    for hours in (1, 2, 4):
-        clock.set(NOON + hours * pd.Timedelta("1h"))
-        plan = http.post("/v1/steps").json()
-        ages[hours] = {(one["asset"], one["quantity"]): one["state"] for one in plan["late"]}
-        if hours == 2:
-            assert any(words.startswith("soc big ") for words in plan["estimated"])
-    # A state of charge of an hour ago is none of now, nor is the demand.
-    assert ages[1] == ages[2] == {("big", "soc"): "stale", ("shop", "load_kw"): "stale"}
-    # What was ordered since goes on to count, as long as it says anything.
-    assert ages[4][("big", "soc")] == "lost" and "battery big is out" not in plan["estimated"]
-    assert http.get("/v1/status").json()["sources"] == {"scada": "2026-11-21T12:00:00Z"}
-    # It comes back by itself.
-    assert decided(http, clock, NOON + pd.Timedelta("5h"))["late"][0]["asset"] == "shop"
 
 
 def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> None:

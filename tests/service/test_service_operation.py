@@ -16,7 +16,6 @@ from tests.support.live_service import (
     Live,
     decided,
     heard,
-    readings,
     said,
     serving,
     site,
@@ -29,31 +28,6 @@ from vppres.service.http.client import Client
 from vppres.service.operation.runner import Service
 
 HOUR = pd.Timedelta("1h")
-
-
-def test_a_battery_that_refuses_is_left_out_until_it_is_heard(live: Live) -> None:
-    """What it was to store it has not: its old reading still stands."""
-    http, clock = live
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
-    plan = decided(http, clock, NOON, soc=0.3)
-    name = said(plan, "batteries")["big"]["id"]
-    assert said(plan, "batteries")["big"]["p_kw"] > 10.0
-    clock.set(NOON + pd.Timedelta("5min"))
-    for status in ("accepted", "rejected"):
-        answer = http.post(f"/v1/setpoints/{name}/status", {"status": status, "reason": "locked"})
-        assert answer.status == 200 and answer.json()["id"] == name
-    shown = http.get("/v1/setpoints?asset=big").json()["setpoints"][0]
-    assert shown["status"] == "rejected"
-    assert http.get("/v1/setpoints?asset=small").json()["setpoints"][0]["status"] == "new"
-    one = NOON + HOUR
-    clock.set(one)
-    http.post("/v1/telemetry", {"series": readings(one, "soc", {"small": 0.3})})
-    plan = http.post("/v1/steps").json()
-    assert "battery big is out" in plan["estimated"]
-    assert "soc big 0.3000" in " ".join(plan["estimated"])
-    assert said(plan, "batteries")["big"]["p_kw"] == 0.0
-    plan = decided(http, clock, NOON + 2 * HOUR, soc=0.3)  # it says how it is
-    assert "battery big is out" not in plan["estimated"]
 
 
 def test_only_set_points_that_there_are_can_be_answered(live: Live) -> None:

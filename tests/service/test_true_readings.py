@@ -31,7 +31,6 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.live.ranges import RANGES
 from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
@@ -178,27 +177,6 @@ def test_a_loss_that_is_read_is_planned_as_an_outage_without_an_end(
     assert supplied("read") == supplied("announced")
 
 
-def test_a_forecast_has_the_range_of_a_reading(live: Live) -> None:
-    http, clock = live
-    body = {
-        "issued_at": "2026-11-21T11:00:00Z",
-        "start": "2026-11-21T12:00:00Z",
-        "resolution": "PT1H",
-        "assets": {"shop": {"p50": [RANGES["load_kw"].highest]}},
-    }
-    assert http.put("/v1/forecasts/load_kw", body).status == 200
-    assert decided(http, clock, NOON)["status"] in ("ok", "fallback")
-    body["assets"] = {"shop": {"p50": [2.0 * RANGES["load_kw"].highest]}}
-    assert http.put("/v1/forecasts/load_kw", body).status == 422
-    body["assets"] = {"roof": {"p50": [20.0], "p90": [2e4]}}
-    refused = http.put("/v1/forecasts/pv_kw", body)
-    assert refused.status == 422
-    assert refused.json()["detail"] == (
-        "forecast, pv_kw of roof = 20000.0: is beyond the system's rating of 30 kW. "
-        "Give the power in kW."
-    )
-
-
 # The newest reading counts.
 
 
@@ -208,36 +186,6 @@ def spoken(
     """Telemetry of batteries at a time."""
     series = readings(time, "soc", dict.fromkeys(assets, soc))
     return {"series": [{**one, "resolution": resolution} for one in series]}
-
-
-def test_a_reading_before_the_first_step_holds_the_island(live: Live) -> None:
-    """The scenario begins with 0.15 in the big battery; 0.62 was heard ten minutes before."""
-    http, clock = live
-    http.put("/v1/events/storm", DARK)
-    clock.set(NOON)
-    http.post("/v1/telemetry", spoken(NOON - pd.Timedelta("10min"), 0.62, "PT5M"))
-    plan = http.post("/v1/steps").json()
-    assert said(plan, "customers")["hospital"]["served"]
-    assert not any(one["reason"].startswith("default") for one in plan["setpoints"])
-    assert {(one["asset"], one["state"]) for one in plan["late"]} == {
-        ("big", "stale"),
-        ("small", "stale"),
-    }
-
-
-def test_a_reading_denies_what_the_plan_believed(live: Live) -> None:
-    """The plan ends above 0.6; ten minutes before the next step 0.25 is heard, in an outage."""
-    http, clock = live
-    first = decided(http, clock, NOON, soc=0.84)
-    assert first["expected"]["soc"]["big"] > 0.6
-    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
-    clock.set(NOON + HOUR)
-    http.post("/v1/telemetry", spoken(NOON + pd.Timedelta("50min"), 0.25))
-    dark = http.post("/v1/steps").json()
-    held_kwh = 0.1 * 160.0  # above the lower limit of 0.15
-    used_kw = -sum(one["p_kw"] for one in said(dark, "batteries").values())
-    assert used_kw <= held_kwh and dark["late"] == []
-    assert not said(dark, "customers")["shop"]["served"]
 
 
 @pytest.mark.parametrize(
@@ -307,44 +255,6 @@ def test_silent_batteries_hold_the_island_as_if_they_were_heard(
         assert not any("is out" in one for plan in plans for one in plan["estimated"])
     assert served[0] == served[1]
     assert [on["hospital"] for on in served[0]].count(True) >= 2
-
-
-def test_the_gate_checks_what_was_decided_on(live: Live) -> None:
-    """A reading that stands still while the battery moved is not believed; nor does the gate."""
-    http, clock = live
-    decided(http, clock, NOON, soc=0.2)
-    power = {"big": 50.0, "small": 30.0}
-    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
-    clock.set(NOON + HOUR)
-    http.post("/v1/telemetry", {"series": readings(NOON, "battery_kw", power)})
-    http.post("/v1/telemetry", heard(NOON + HOUR, soc=0.2))
-    plan = http.post("/v1/steps").json()
-    assert any("(frozen)" in one for one in plan["estimated"])
-    assert min(one["p_kw"] for one in said(plan, "batteries").values()) < -10.0
-    assert not any(one["reason"].startswith("default") for one in plan["setpoints"])
-
-
-def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(live: Live) -> None:
-    http, clock = live
-    http.put("/v1/events/storm", DARK)
-    clock.set(NOON)
-    http.post("/v1/telemetry", spoken(NOON - 2 * HOUR, 0.16))
-    plan = http.post("/v1/steps").json()
-    assert not said(plan, "customers")["hospital"]["served"]
-    off = "hospital of the first tier off supply"
-
-    def told(path: str) -> str:
-        every = http.get(path).json()["alarms"]
-        (found,) = (one for one in every if one["kind"] == "critical_off")
-        assert (found["priority"], found["state"]) == ("high", "raised")
-        words: str = found["text"]
-        return words
-
-    for path in ("/v1/alarms", "/v1/overview", "/v1/status"):
-        assert told(path) == f"{off}, and the state of charge of big, small is late."
-    fresh = decided(http, clock, NOON + HOUR, soc=0.16)
-    assert not said(fresh, "customers")["hospital"]["served"]
-    assert told("/v1/alarms") == f"{off}."
 
 
 # A reading that others contradict.
