@@ -55,6 +55,21 @@ DECIDED: list[Row] = [("12:00", "decide", 0.85, 200, {})]
 MIXED = {"series": heard(NOON)["series"] + readings(NOON, "soc", {"bigg": 0.5, "small": 1.5})}
 
 
+SHORT: dict[str, Any] = {"type": "outage", "start": f"{DAY}12:05:00Z", "end": f"{DAY}12:20:00Z"}
+CERTAIN = {
+    "type": "outage_belief",
+    "probability": 1.0,
+    "onset": {"start": f"{DAY}12:00:00Z", "resolution": "PT10M", "probabilities": [1.0]},
+    "duration": {"family": "until", "until": SHORT["end"]},
+}
+
+
+def IGNORED(words: list[str]) -> bool:
+    """Of the grid it is said why its reading is not believed, and no more."""
+    told = [each for each in words if "grid_on" in each]
+    return told == ["grid_on = 0 of scada is contradicted by an import of 80 kW"]
+
+
 def IN(words: list[str]) -> bool:
     """The large battery is planned with."""
     return "battery big is out" not in words
@@ -353,6 +368,34 @@ SEQUENCES: dict[str, list[Row]] = {
             {**substation(("12:13", "grid_on", 0.0))["series"][0], "source": "watch"}]}, 200,
             {"": {"accepted": 2, "duplicates": 0, "refused": []}}),
     ],
+    **{f"an outage that ended within the step is over for the rest of it: {storm['type']}": [
+        *DECIDED,
+        ("12:13", "PUT events/storm", storm, 201, {}),
+        ("12:13", "anew", None, 200, {"grid.available": False}),
+        ("12:33", "PUT mode", {"mode": "off", "reason": "work"}, 200, {}),
+        ("12:33", "PUT mode", {"mode": "auto"}, 200, {}),
+        ("12:33", "anew", None, 200, {"grid.available": True}),
+    ] for storm in (SHORT, CERTAIN)},
+    "a first reading is planned for when it comes": [
+        ("12:00", "POST steps", None, 200, {"estimated": OUT}),
+        ("12:00:20", "POST telemetry", spoken("12:00", 0.6), 200, {}),
+        ("12:00:20", "anew", None, 200, {
+            "anew": "battery big is heard; battery small is heard",
+            "estimated": lambda words: not any("is out" in each for each in words)}),
+    ],
+    **{f"an import since the grid was said to be lost takes it back: {how}": [
+        *DECIDED,
+        ("12:13", "POST telemetry", substation(("12:13", "grid_on", 0.0)), 200, {}),
+        ("12:13", "anew", None, 200, {"grid.available": False}),
+        *(row for poll, status in ((1, 200), (2, 204)) for row in (
+            (f"12:13:{poll}0", "POST telemetry", substation((f"12:13:{poll - 1}0", "import_kw", 80.0),
+                *[(f"12:13:{poll}0", "grid_on", 0.0)] * (how == "stuck")), 200, {}),
+            (f"12:13:{poll}0", "anew", None, status, {}),
+            (f"12:13:{poll}0", "GET plan", None, 200, {"grid.available": True, "estimated": IGNORED}))),
+        # And the grid is lost in truth.
+        ("12:13:30", "POST telemetry", substation(("12:13:20", "import_kw", 0.0), ("12:13:30", "grid_on", 0.0)), 200, {}),
+        ("12:13:30", "anew", None, 200, {"grid.available": False}),
+    ] for how in ("stuck", "said once")},
     # Readings.
     "a forecast has the range of a reading": [
         *(("12:00", "PUT forecasts/load_kw", {**AT_NOON, "assets": {"shop": {"p50": [share * MOST_KW]}}}, status, {})
