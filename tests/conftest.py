@@ -7,14 +7,14 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
 
 from tests.support.durations import Durations
 from tests.support.tiny_day import tiny_scenario
-from vppres.io import write_scenario
+from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -86,6 +86,26 @@ def pytest_collection_finish() -> None:
 def nightly(pytestconfig: pytest.Config) -> bool:
     """Whether all cases run: tests that loop over seeds take fewer by day."""
     return bool(pytestconfig.getoption("nightly"))
+
+
+@pytest.fixture(scope="session")
+def packaged() -> Scenario:
+    """The packaged day."""
+    return read_scenario(find_scenario("uk-heatwave-2022"))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A real browser, in which no other loop of events may run."""
+    from tests.support.browser import FLAGS, chromium
+
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if chromium() is None:
+        pytest.skip("no chromium or chrome on the path")
+    with sync_api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
+        yield found
+        found.close()
 
 
 @pytest.fixture

@@ -21,7 +21,6 @@ from vppres.day.metrics import resilience
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
-from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -69,20 +68,15 @@ class IdealDay:
 
 
 @pytest.fixture(scope="session")
-def packaged_day() -> Scenario:
-    return read_scenario(find_scenario("uk-heatwave-2022"))
-
-
-@pytest.fixture(scope="session")
-def ideal(packaged_day: Scenario) -> IdealDay:
+def ideal(packaged: Scenario) -> IdealDay:
     options = RunOptions(horizon_h=5.0)
-    guard = make_controller(packaged_day, options)
+    guard = make_controller(packaged, options)
     assert isinstance(guard, GuardedController)
     assert isinstance(guard.inner, MPCController)
-    listener, day = Listener(guard), Day(packaged_day, options)
-    for t in range(packaged_day.grid.n_steps):
+    listener, day = Listener(guard), Day(packaged, options)
+    for t in range(packaged.grid.n_steps):
         day.step(listener, t)
-    site = Site.of(packaged_day)
+    site = Site.of(packaged)
     return IdealDay(
         day.recorder.finish(options.as_record()),
         [WindowData.of(o, site, "lossless") for o, _ in listener.heard],
@@ -91,8 +85,8 @@ def ideal(packaged_day: Scenario) -> IdealDay:
 
 
 @pytest.fixture(scope="session")
-def full_horizon(packaged_day: Scenario) -> Trajectory:
-    return run_day(packaged_day, RunOptions(controller="full-horizon"))
+def full_horizon(packaged: Scenario) -> Trajectory:
+    return run_day(packaged, RunOptions(controller="full-horizon"))
 
 
 # Service.

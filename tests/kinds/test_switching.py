@@ -35,7 +35,6 @@ from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
-from vppres.io import find_scenario, read_scenario
 from vppres.kinds.customer import rows as switching_rules
 from vppres.kinds.customer.data import RuleSteps, SwitchingRules
 from vppres.kinds.customer.physics import SwitchingData, SwitchingState
@@ -371,11 +370,6 @@ def broken_rules(run: Trajectory, rules: SwitchingRules) -> int:
         count += int((lengths_h < least - 1e-9).sum())
         count += int(rules.stay_restored) * int(len(at) > 2)
     return count
-
-
-@pytest.fixture(scope="module")
-def packaged() -> Scenario:
-    return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
 @pytest.mark.nightly

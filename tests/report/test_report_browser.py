@@ -16,25 +16,10 @@ from tests.support.made_up_runs import SECTIONS_OF_A_DAY, day_run, day_scenario
 from vppres.report.run_folder import write_run
 from vppres.studies.compare import read_runs, render_comparison
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on the path")
-
 LOCAL = ("file:", "data:", "blob:")
 WORST = 17  # of the made-up day: the last step of the outage serves the least
 DRAWINGS = "figure.plot .wide > svg"
 DESKTOP = {"width": 1280, "height": 900}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from tests.support import live_service
-from tests.support.browser import FLAGS, chromium, listening
+from tests.support.browser import listening
 from tests.support.live_service import decide
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
@@ -26,9 +26,6 @@ from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Runner, Service
 from vppres.service.replay import explainer
 from vppres.service.replay.explanations import explained
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(chromium() is None, reason="no chromium or chrome on the path")
 
 HOUR = pd.Timedelta("1h")
 NIGHT = pd.Timestamp("2026-10-25T00:00Z")
@@ -43,14 +40,6 @@ def site() -> Any:
     day = live_service.site(tiny_scenario())
     london = replace(day.grid, zone="Europe/London")
     return replace(day, grid=london, title="Docks & <b>Harbour</b>")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

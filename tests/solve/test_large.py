@@ -9,7 +9,6 @@ import pytest
 
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import window
-from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.network import Network
@@ -22,11 +21,6 @@ from vppres.solve.network.master import NetworkMaster
 from vppres.solve.result import Status, WindowSolution
 
 TIME_S = 20.0
-
-
-@pytest.fixture(scope="module")
-def packaged() -> Scenario:
-    return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
 def weak(packaged: Scenario) -> tuple[Scenario, WindowData]:

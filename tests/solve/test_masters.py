@@ -19,7 +19,6 @@ from tests.support.injections import columns_of
 from tests.support.programs import knapsack
 from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
-from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.parts import Parts
@@ -53,11 +52,6 @@ SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
 """Window 54 has weights without a grid, to which counts do not apply."""
 TIME_S = 20.0
 SPEC = find_solver("highs"), 16
-
-
-@pytest.fixture(scope="module")
-def packaged() -> Scenario:
-    return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
 @pytest.fixture(scope="module")

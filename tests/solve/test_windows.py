@@ -25,7 +25,6 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError
-from vppres.io import find_scenario, read_scenario
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -57,11 +56,6 @@ def solve(
 ) -> WindowSolution:
     """All steps of a scenario as one window."""
     return WindowSolver(Site.of(scenario), method, solver, limits).solve(window(scenario))
-
-
-@pytest.fixture(scope="module")
-def packaged() -> Scenario:
-    return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
 # Hand-solved cases.
