@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.builders import metered
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.played_service import played
 from tests.support.sets import gensets
@@ -154,16 +155,12 @@ def test_a_meter_in_watts_puts_nobody_off_with_grid(
 
     if by_rule:
         monkeypatch.setattr(GuardedController, "_inner_decision", fails)
-    controller = Controller.of(day, OPTIONS)
     soc = dict(zip(day.batteries.id, day.batteries.soc_initial, strict=True))
-    came: dict[str, Any] = {}
-    for t in range(2):
-        watts = {"cbc": 1000.0 * float(day.load_kw[t, 2])}
-        found = controller.step(Measurement(controller.times[t], soc, load_kw=watts, **came))
+    hours = [(1000.0 * float(kw), None) for kw in day.load_kw[:2, 2]]
+    for found in metered(day, hours, "cbc", soc):
         assert found.customers["served"].all()
         assert found.solve["fallback"] == ("rule" if by_rule else "none")
         assert "load cbc" in found.solve["estimated"]
-        came = {"battery_kw": dict(found.batteries["p_kw"]), "import_kw": found.import_kw}
 
 
 @pytest.mark.parametrize(("sent", "words"), [

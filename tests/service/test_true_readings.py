@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.builders import metered
 from tests.support.live_service import (
     HERE,
     NOON,
@@ -279,21 +280,8 @@ def test_a_demand_far_from_its_forecast_is_estimated(live: Live, factor: float) 
 
 def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
     """A new machine of the shop, ten times all that was expected: doubted for one step."""
-    day = site(tiny)
-    controller = Controller.of(day, RunOptions(horizon_h=2.0, isolate=False))
-    came: dict[str, Any] = {}
-    said_of_it = []
-    for t in range(3):
-        decision = controller.step(
-            Measurement(controller.times[t], SOC, load_kw={"shop": 500.0}, **came)
-        )
-        said_of_it.append("load shop" in decision.solve["estimated"])
-        missing_kw = 500.0 - decision.customers["load_kw"]["shop"]
-        came = {
-            "battery_kw": dict(decision.batteries["p_kw"]),
-            "import_kw": decision.import_kw + missing_kw,
-        }
-    assert said_of_it == [True, False, False]
+    found = metered(site(tiny), [(500.0, 500.0)] * 3, "shop", SOC, horizon_h=2.0)
+    assert ["load shop" in each.solve["estimated"] for each in found] == [True, False, False]
 
 
 @pytest.mark.parametrize(("others", "available"), [
@@ -338,20 +326,11 @@ def test_a_meter_in_watts_since_it_was_mounted_puts_nobody_off(
     tiny: Scenario, horizon_h: float, import_factor: float
 ) -> None:
     """Its first reading is judged as any other; an import in W confirms nothing."""
-    day = site(tiny)
-    controller = Controller.of(day, RunOptions(horizon_h=horizon_h, isolate=False))
-    came: dict[str, Any] = {}
-    for t in range(4):
-        found = controller.step(
-            Measurement(controller.times[t], SOC, load_kw={"hospital": 64e3}, **came)
-        )
-        assert found.customers["served"].all(), t
+    hours = [(64e3, None)] * 4
+    for found in metered(site(tiny), hours, "hospital", SOC, horizon_h, import_factor):
+        assert found.customers["served"].all()
         assert found.solve["fallback"] == "none"
         assert "load hospital" in found.solve["estimated"]
-        came = {
-            "battery_kw": dict(found.batteries["p_kw"]),
-            "import_kw": import_factor * found.import_kw,
-        }
 
 
 @pytest.mark.parametrize(("soc", "grid_limit_kw"), [(0.05, 500.0), (0.98, 500.0), (0.98, 0.0)])
@@ -393,24 +372,6 @@ def test_what_an_inverter_takes_at_night_counts_as_nothing(live: Live, tiny: Sce
     assert found.solve["fallback"] == "none"
 
 
-def hours_of_the_hospital(
-    day: Scenario, told_kw: float, taken_kw: float, hours: int = 4
-) -> list[SetPoints]:
-    """Decisions with grid, the hospital's meter telling one demand and the import another."""
-    controller = Controller.of(day, RunOptions(horizon_h=0.0, isolate=False))
-    came: dict[str, Any] = {}
-    found = []
-    for t in range(hours):
-        now = Measurement(controller.times[t], SOC, load_kw={"hospital": told_kw}, **came)
-        found.append(controller.step(now))
-        used_kw = float(found[-1].customers["load_kw"]["hospital"])
-        came = {
-            "battery_kw": dict(found[-1].batteries["p_kw"]),
-            "import_kw": found[-1].import_kw + taken_kw - used_kw,
-        }
-    return found
-
-
 @pytest.mark.parametrize("kinds", [False, True])
 @pytest.mark.parametrize("factor", [9.0, 3.0, 0.2])
 def test_the_import_of_the_step_before_contradicts_a_meter(
@@ -418,7 +379,7 @@ def test_the_import_of_the_step_before_contradicts_a_meter(
 ) -> None:
     """Beside vehicles, rooms and sets, of which nothing says what they take, too."""
     day = site(crowded(tiny) if kinds else tiny)
-    first, *later = hours_of_the_hospital(day, factor * 64.0, 64.0)
+    first, *later = metered(day, [(factor * 64.0, 64.0)] * 4, "hospital", SOC)
     assert first.customers["load_kw"]["hospital"] == factor * 64.0
     for found in later:
         assert f"the import contradicts {factor * 64.0:g}" in found.solve["estimated"]
@@ -428,24 +389,15 @@ def test_the_import_of_the_step_before_contradicts_a_meter(
 
 @pytest.mark.parametrize("factor", [9.0, 3.0, 0.2])
 def test_a_demand_is_believed_where_the_import_agrees(tiny: Scenario, factor: float) -> None:
-    for found in hours_of_the_hospital(site(tiny), factor * 64.0, factor * 64.0):
+    for found in metered(site(tiny), [(factor * 64.0, factor * 64.0)] * 4, "hospital", SOC):
         assert found.customers["load_kw"]["hospital"] == factor * 64.0
         assert "load" not in found.solve["estimated"]
 
 
 def test_a_meter_that_is_right_again_is_believed_at_once(tiny: Scenario) -> None:
-    controller = Controller.of(site(tiny), RunOptions(horizon_h=0.0, isolate=False))
-    came: dict[str, Any] = {}
-    told = []
-    for t, factor in enumerate([1.0, 9.0, 9.0, 1.1, 1.1]):
-        now = Measurement(controller.times[t], SOC, load_kw={"hospital": factor * 64.0}, **came)
-        found = controller.step(now)
-        told.append("load hospital" in found.solve["estimated"])
-        off_kw = 64.0 * min(factor, 1.1) - float(found.customers["load_kw"]["hospital"])
-        came = {
-            "battery_kw": dict(found.batteries["p_kw"]),
-            "import_kw": found.import_kw + off_kw,
-        }
+    hours = [(64.0 * factor, 64.0 * min(factor, 1.1)) for factor in (1.0, 9.0, 9.0, 1.1, 1.1)]
+    found = metered(site(tiny), hours, "hospital", SOC)
+    told = ["load hospital" in each.solve["estimated"] for each in found]
     assert told == [False, False, True, False, False]
 
 

@@ -68,3 +68,27 @@ def live(
         found.append(step)
         controller = restarted(controller, day, options)
     return found
+
+
+def metered(
+    day: Scenario,
+    hours: Iterable[tuple[float, float | None]],
+    who: str,
+    soc: Mapping[str, float],
+    horizon_h: float = 0.0,
+    import_factor: float = 1.0,
+) -> list[SetPoints]:
+    """Decisions with grid while a customer's meter tells one power and the import another.
+
+    Each hour has what is told and what is taken, in kW; None is what was believed. The import is
+    told as ``import_factor`` times what it is.
+    """
+    controller, found = Controller.of(day, RunOptions(horizon_h=horizon_h, isolate=False)), []
+    came: dict[str, Any] = {}
+    for time, (told_kw, taken_kw) in zip(controller.times, hours, strict=False):
+        step = controller.step(Measurement(time, dict(soc), load_kw={who: told_kw}, **came))
+        found.append(step)
+        over_kw = 0.0 if taken_kw is None else taken_kw - float(step.customers["load_kw"][who])
+        import_kw = import_factor * (step.import_kw + over_kw)
+        came = {"battery_kw": dict(step.batteries["p_kw"]), "import_kw": import_kw}
+    return found
