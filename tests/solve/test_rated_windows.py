@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,9 @@ from vppres.model.ratings import limit_kva, with_ratings
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import LIMIT
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.limits import run_within_limits
+from vppres.solve.network.rows import Rows
+from vppres.solve.result import Outcome, Status
 
 
 @pytest.mark.monolith
@@ -38,6 +43,32 @@ def test_no_flow_is_above_its_rating_for_the_sun_that_it_would_carry() -> None:
     share = flow_kva / limit_kva(with_ratings(site, data))
     assert found.dispatch.pv_curtailed_kw.sum() > 1.0
     assert 1.0 - 1e-6 < share.max() <= 1.0 + 1e-6
+
+
+def test_limits_that_no_longer_move_a_solution_are_not_looked_for_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A solver leaves the rating of a small line by more than what is looked for, and for ever."""
+
+    class Left:
+        near = ()
+
+        def exceeded(self, x: Any) -> list[Rows]:
+            row = np.zeros((1, 1), dtype=int)
+            return [Rows.of(row, np.ones((1, 1)), 1.0, np.inf, len(x))]
+
+    def solve(left_s: float) -> Outcome:
+        rounds.append(left_s)
+        problem.x = np.full(2, max(1.0 - 0.1 * len(rounds), 0.7))
+        return Outcome(Status.OPTIMAL, 1.0, 1.0, 0.0)
+
+    rounds: list[float] = []
+    problem: Any = SimpleNamespace(compile=lambda: None)
+    data: Any = SimpleNamespace(phased=None, flow_max_kva=np.ones(1))
+    monkeypatch.setattr("vppres.solve.limits.limits_of", lambda *_: Left())
+    site: Any = None
+    found = run_within_limits(site, data, problem, 0.5, solve=solve)
+    assert (found.status, len(rounds), problem.added) == (Status.OPTIMAL, 4, None)
 
 
 @pytest.mark.parametrize(

@@ -93,8 +93,9 @@ def run_within_limits(
 
     By interior points, if there is no other ``solve`` for the seconds that are left.
 
-    Limits that a solution exceeds are added until none is. They are in ``rows`` then, and their
-    duals behind the problem's own.
+    Limits that a solution exceeds are added until none is, or until they no longer move it: a
+    solver leaves a row by its tolerance, and has those of the same point already. They are in
+    ``rows`` then, and their duals behind the problem's own.
     """
     solve = solve or partial(run_conic, problem)
     if data.phased is None and data.flow_max_kva is None:
@@ -106,13 +107,17 @@ def run_within_limits(
         return solve(deadline.left_s)
     rows = [] if rows is None else rows
     rows += limits.near
+    before = np.empty(0)
     while True:
         problem.added = None
         if rows:
             joined = Rows.joined(rows)
             problem.added = joined.matrix, joined.lower
         outcome = solve(deadline.left_s)
-        new = limits.exceeded(problem.x) if outcome.status == Status.OPTIMAL else []
+        new: Sequence[Rows] = ()
+        if outcome.status == Status.OPTIMAL and not np.array_equal(problem.x, before):
+            new = limits.exceeded(problem.x)
+            before = problem.x.copy()
         if not new or deadline.passed:
             problem.added = None
             status = Status.NO_ANSWER if new else outcome.status
