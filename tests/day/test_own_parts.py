@@ -170,16 +170,15 @@ def test_what_is_no_controller_or_forecaster_is_refused(
         vppres.run_day(tiny, HERE, **part)
 
 
-def test_weights_of_every_step_leave_nothing_to_be_shared(tiny: Scenario) -> None:
-    options = replace(HERE, rotation=0.2)
-    with pytest.raises(vppres.InputError, match="Leave out the weights, or rotation"):
-        vppres.run_day(tiny, options, weights=tiny.customers.weight)
-
-
-def test_weights_need_the_controller_that_plans_anew(tiny: Scenario) -> None:
-    options = replace(HERE, controller="full-horizon")
-    with pytest.raises(vppres.InputError, match="are for the controller mpc"):
-        vppres.run_day(tiny, options, weights=tiny.customers.weight)
+@pytest.mark.parametrize(("option", "words"), [
+    ({"rotation": 0.2}, "Leave out the weights, or rotation"),
+    ({"controller": "full-horizon"}, "are for the controller mpc"),
+])  # fmt: skip
+def test_weights_of_every_step_are_for_plans_that_share_nothing(
+    tiny: Scenario, option: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(vppres.InputError, match=words):
+        vppres.run_day(tiny, replace(HERE, **option), weights=tiny.customers.weight)
 
 
 class Odd(IdleController):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.homes import homes
-from tests.support.phased_feeder import DARK, NONE_KW, OPEN, STREET, phased_day, served, street_day
+from tests.support.phased_feeder import DARK, NONE_KW, OPEN, STREET, day_of, served, street_day
 from tests.support.sets import gensets
 from tests.support.vans import chargers, plugged_in
 from vppres import RunOptions, run_day
@@ -34,9 +34,7 @@ PHASE_KW = 10.8
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
-    file = tmp_path_factory.mktemp("street") / "street.dss"
-    file.write_text(STREET)
-    return phased_day(file)
+    return day_of(STREET, tmp_path_factory.mktemp("street"))
 
 
 FORMING = {

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.live_service import client
-from tests.support.phased_feeder import STREET, phased_day
+from tests.support.phased_feeder import STREET, day_of
 from tests.support.small_nets import buses_in_a_row
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -255,8 +255,7 @@ def test_sets_of_a_feeder_with_phases_keep_their_phases(tmp_path: Path) -> None:
         "new generator.diesel1 bus1=m phases=3 kv=0.4 kw=20 pf=0.9\n"
         "new generator.standby2 bus1=n.2 phases=1 kv=0.2309 kw=5\n"
     )
-    (tmp_path / "street.dss").write_text(STREET.replace("set volt", f"{sets}set volt"))
-    day = phased_day(tmp_path / "street.dss")
+    day = day_of(STREET.replace("set volt", f"{sets}set volt"), tmp_path)
     assert day.phases is not None
     assert day.gensets.id.tolist() == ["gensetm", "gensetn"]
     assert day.gensets.grid_forming.tolist() == [True, False]

@@ -17,7 +17,7 @@ from tests.support.lying_sensors import (
     pairs_of,
     place_of,
 )
-from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.phased_feeder import CIRCUIT, day_of
 
 PAIRS, SEED = 60, 57
 FIRST, STEPS, DARK = 9, 6, 3
@@ -33,9 +33,7 @@ def places(
     folder: Path = tmp_path_factory.mktemp("lies")
     if request.param == "phased":
         pytest.importorskip("opendssdirect")
-        file = folder / "small.dss"
-        file.write_text(CIRCUIT)
-        site = phased_day(file)
+        site = day_of(CIRCUIT, folder)
     else:
         packaged = request.param != "street"
         site = vppres.load_scenario(request.param) if packaged else low_voltage_site()

@@ -13,7 +13,7 @@ import pytest
 from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
-from tests.support.phased_feeder import CIRCUIT, REGULATED, phased_day
+from tests.support.phased_feeder import CIRCUIT, REGULATED, day_of, phased_day
 from tests.support.set_points import asked
 from tests.support.sets import gensets
 from tests.support.vans import chargers, plugged_in
@@ -613,9 +613,7 @@ BANKED = CIRCUIT.replace(
 @pytest.fixture(scope="module")
 def banked(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     """A day of that feeder, its batteries full."""
-    file = tmp_path_factory.mktemp("banked") / "banked.dss"
-    file.write_text(BANKED)
-    day = phased_day(file)
+    day = day_of(BANKED, tmp_path_factory.mktemp("banked"))
     return replace(day, batteries=replace(day.batteries, soc_initial=day.batteries.soc_max))
 
 
@@ -669,9 +667,7 @@ def test_an_island_whose_capacitors_no_former_holds_is_planned_dark(banked: Scen
 @pytest.mark.daily
 def test_an_island_serves_what_lies_behind_regulators(tmp_path: Path) -> None:
     """They are at nominal taps there, in OpenDSS too: no voltage leaves its limits."""
-    file = tmp_path / "long.dss"
-    file.write_text(REGULATED)
-    day = phased_day(file)
+    day = day_of(REGULATED, tmp_path)
     assert day.phases
     units = day.phases.transformers
     assert max(unit.to_tap for unit in units) > 1.08 and {unit.island_tap for unit in units} == {
@@ -693,4 +689,4 @@ def test_an_island_serves_what_lies_behind_regulators(tmp_path: Path) -> None:
     assert run.nodes is not None
     assert run.nodes["v_ac_pu"].between(day.network.v_min_ac_pu, day.network.v_max_ac_pu).all()
     assert (run.customers.groupby("time")["served"].sum() >= 4).all()
-    assert recheck_run(run, file).voltages["difference_pu"].abs().max() < 1e-6
+    assert recheck_run(run, tmp_path / "circuit.dss").voltages["difference_pu"].abs().max() < 1e-6

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.builders import metered
-from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.played_service import played
 from tests.support.sets import gensets
 from tests.support.three_phases import three_phases
@@ -41,9 +41,7 @@ OPTIONS = RunOptions(horizon_h=0.0, isolate=False)
 @pytest.fixture(scope="module")
 def day(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     """A day of a small unbalanced feeder, its batteries full."""
-    file = tmp_path_factory.mktemp("live") / "small.dss"
-    file.write_text(CIRCUIT)
-    day = phased_day(file)
+    day = day_of(CIRCUIT, tmp_path_factory.mktemp("live"))
     full = replace(day.batteries, soc_initial=day.batteries.soc_max)
     return replace(day, batteries=full)
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
-from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.sets import gensets
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
@@ -149,9 +149,7 @@ def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
 @pytest.mark.nightly
 def test_an_island_by_phase_is_left_as_it_is_too(tmp_path: Path) -> None:
     pytest.importorskip("opendssdirect")
-    file = tmp_path / "small.dss"
-    file.write_text(CIRCUIT)
-    day = phased_day(file)
+    day = day_of(CIRCUIT, tmp_path)
     start = day.grid.times[17]
     clock = SetClock(start)
     with client(Service(day, replace(HERE, horizon_h=0.0)), tmp_path / "state", clock) as http:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.phased_feeder import NONE_KW, STREET, phased_day, served, street_day
+from tests.support.phased_feeder import NONE_KW, STREET, day_of, served, street_day
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from tests.support.vans import chargers, plugged_in
@@ -21,9 +21,7 @@ from vppres.solve.ladder import WindowSolver
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     pytest.importorskip("opendssdirect")
-    file = tmp_path_factory.mktemp("street") / "street.dss"
-    file.write_text(STREET)
-    return phased_day(file)
+    return day_of(STREET, tmp_path_factory.mktemp("street"))
 
 
 def hours(limits_kw: list[float], load_kw: float = 3.0) -> Scenario:

@@ -17,7 +17,7 @@ from experiments.studies.phased_feeders import (
     with_a_former,
 )
 from tests.support.homes import homes
-from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.phased_feeder import CIRCUIT, day_of, phased_day
 from tests.support.sets import gensets, random_sets
 from tests.support.vans import with_random_vehicles
 from tests.support.whole_statement import whole_problem
@@ -148,8 +148,7 @@ def first_window(day: Scenario, headroom: float) -> tuple[ConvergedPlanner, Wind
 
 
 def test_limits_of_phases_give_way_to_no_voltage_that_a_feeder_cannot_have(tmp_path: Path) -> None:
-    (tmp_path / "small.dss").write_text(CIRCUIT)
-    day = phased_day(tmp_path / "small.dss").between(9, 10)
+    day = day_of(CIRCUIT, tmp_path).between(9, 10)
     usual, far = (
         first_window(replace(day, load_kw=factor * day.load_kw), headroom=0.0)[1].require_phased()
         for factor in (1.0, 1000.0)
@@ -189,8 +188,7 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
 
 
 def test_the_fleet_serves_no_set_that_crowds_a_phase(tmp_path: Path) -> None:
-    (tmp_path / "small.dss").write_text(CIRCUIT)
-    day = phased_day(tmp_path / "small.dss").between(13, 14)
+    day = day_of(CIRCUIT, tmp_path).between(13, 14)
     of_a = day.customers.id == "ca"
     b = day.batteries
     full = replace(b, soc_initial=np.where(b.grid_forming, b.soc_max, b.soc_min))
@@ -212,8 +210,7 @@ def test_the_fleet_serves_no_set_that_crowds_a_phase(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_path: Path) -> None:
-    (tmp_path / "small.dss").write_text(CIRCUIT)
-    day = phased_day(tmp_path / "small.dss")
+    day = day_of(CIRCUIT, tmp_path)
     full = replace(day.batteries, soc_initial=day.batteries.soc_max)
     island = replace(day, batteries=full).between(13, 14)
     planner, data = first_window(island, headroom=0.0)
@@ -244,8 +241,7 @@ def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
 @pytest.mark.nightly
 def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Path) -> None:
     """After a single pass plan and power flow differ, and the plan shows it."""
-    (tmp_path / "small.dss").write_text(CIRCUIT)
-    day = phased_day(tmp_path / "small.dss").between(8, 9)
+    day = day_of(CIRCUIT, tmp_path).between(8, 9)
     options = RunOptions(horizon_h=0.0).on(day)
     planner = ConvergedPlanner(WindowSolver(site_of(day, options.as_record())), passes=1)
     seen = Day(day, options).observe(make_controller(day, options), 0)

@@ -75,6 +75,13 @@ calcvoltagebases
 """Its regulators raise the far end by up to 17%, which no limit allows without the demand there."""
 
 
+def day_of(text: str, folder: Path) -> Scenario:
+    """The scenario of a circuit's text, written into a folder."""
+    file = folder / "circuit.dss"
+    file.write_text(text)
+    return phased_day(file)
+
+
 def phased_day(circuit: Path) -> Scenario:
     """A scenario of a circuit's file, read back from a folder beside it."""
     folder = circuit.parent / circuit.stem
