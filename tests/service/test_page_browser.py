@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support import live_service
+from tests.support import live_service, switching_service
 from tests.support.browser import listening
 from tests.support.live_service import decide
 from tests.support.tiny_day import tiny_scenario
@@ -26,6 +26,7 @@ from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Runner, Service
 from vppres.service.replay import explainer
 from vppres.service.replay.explanations import explained
+from vppres.service.storage.records import Reading, seconds
 
 HOUR = pd.Timedelta("1h")
 NIGHT = pd.Timestamp("2026-10-25T00:00Z")
@@ -415,3 +416,27 @@ def test_an_outage_and_what_goes_wrong_in_it(
     )
     assert page.evaluate(CONTRAST) == []
     page.close()
+
+
+@pytest.mark.daily
+def test_an_operation_of_a_switch_is_confirmed_on_the_page(browser: Any, tmp_path: Path) -> None:
+    """It is confirmed with a second click, and what it waits for is shown then."""
+    noon = live_service.NOON
+    service = Service(switching_service.switched(), live_service.HERE, paced=True)
+    with opened(service, tmp_path, SetClock(noon)) as runner:
+        decide(runner, noon)
+        states = {"t": 0.0, "s": 1.0}.items()
+        read = [Reading(one, "closed", seconds(noon), "scada", 60, state) for one, state in states]
+        runner.store.write_readings(read, noon)
+        with listening(make_app(runner, Access())) as address, Watcher(browser, address) as watcher:
+            watcher.wait_for("#verdict-words", "supplied")
+            assert not watcher.page.locator("#switching").is_visible()
+            asked = {"closed": {"t": True, "s": False}}
+            runner.store.put_setting("switching", asked, noon, "test")
+            watcher.wait_for("#switching-next", "Confirm: close t")
+            assert watcher.text("#switching-list").startswith("close t: ")
+            watcher.page.click("#switching-next")
+            watcher.page.click("#switching-yes")
+            watcher.wait_for("#switching-words", "t has not yet read closed.")
+            assert not watcher.page.locator("#switching-confirm").is_visible()
+            assert runner.store.setting("switching")[0]["issued"]["switch"] == "t"

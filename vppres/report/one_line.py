@@ -7,7 +7,7 @@ so that the whole day is a few strings per step.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -224,6 +224,7 @@ class BranchStates:
     branches: Branches
     closed: Flags
     out: Flags
+    _blocks: dict[bytes, Wholes] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, run: Trajectory) -> BranchStates:
@@ -244,8 +245,12 @@ class BranchStates:
 
     def parts_at(self, closed: Flags, t: int) -> tuple[Wholes, Wholes]:
         """Block of each bus over closed branches in a step, and its class, (N,) each."""
-        blocks = blocks_of(self.branches.ends, closed, self.branches.network.n_buses)
-        assert blocks is not None  # a configuration has no loop
+        key = closed.tobytes()
+        if key not in self._blocks:
+            found = blocks_of(self.branches.ends, closed, self.branches.network.n_buses)
+            assert found is not None  # a configuration has no loop
+            self._blocks[key] = found
+        blocks = self._blocks[key]
         here, others = (WITH_GRID, WITHOUT_GRID)
         if self.run.steps["outage"].iloc[t]:
             here, others = (WITHOUT_GRID, APART)
@@ -262,6 +267,8 @@ class BranchStates:
         for t in range(len(found)):
             blocks, found[t] = self.parts_at(self.closed[t] & ~self.out[t], t)
             without = found[t] != WITH_GRID
+            if not without.any():
+                continue
             live = np.nan_to_num(v[t]) > 0
             found[t, without & ~live] = NO_VOLTAGE
             charged = day.batteries.holds_energy(soc[t])
