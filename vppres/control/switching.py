@@ -368,7 +368,7 @@ class Switching(InConfiguration):
 
     @staticmethod
     def _drawn(state: StepState, decision: Decision, source: int) -> tuple[Floats, Floats]:
-        """What devices of a feeder with phases draw in a decision's step, (D,) each."""
+        """Power that devices of a feeder with phases draw in a decision's step, (D,) each."""
         plan, row = decision.dispatch, decision.row
         sun_kw = plan.pv_self_kw[row] + plan.pv_export_kw[row]
         given_kw = plan.discharge_kw[row] - plan.charge_kw[row]

@@ -1,0 +1,113 @@
+"""IEEE 123 with its own switches and one line out: who is supplied with and without switching.
+
+``python -m experiments.studies.switched_phases FOLDER --page docs/switches.md`` runs a day on the
+circuit of a folder, by phase: with few batteries as in :mod:`experiments.studies.phases`, its own
+normally closed switches, and the normally open ones 151-300 and 54-94. From noon on a line is out
+for six hours, with grid, or with an outage of the same hours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.pages import put_table
+from experiments.studies.phases import FEEDERS, say, scenario_of
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.scenario.faults import LineFault
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
+
+BEGIN, END = "<!-- switched: begin -->", "<!-- switched: end -->"
+COLUMNS = (
+    "line out",
+    "from 12:00 to 18:00",
+    "switches",
+    "R in these hours",
+    "customer hours off",
+    "what was moved",
+    "windows not certified",
+    "largest voltage off plan, pu",
+    "time of a window, s: median, most",
+)
+OPEN = (("151", "300"), ("54", "94"))
+"""Switches that the circuit has at an end of its own, where the feeder's are open."""
+
+OHM = 1e-3
+LINES = ("18", "67")
+"""Lines that are out, by the buses that they feed: 13-18, and 60-67."""
+
+NOON, HOURS = pd.Timedelta(hours=12), pd.Timedelta(hours=6)
+
+
+def switched(day: Scenario, line: str, outage: bool) -> Scenario:
+    """The day with its switches and a line out, with an outage beside it or without."""
+    first, second = (np.array(side, dtype=object) for side in zip(*OPEN, strict=True))
+    n = len(OPEN)
+    names = np.array(["-".join(pair) for pair in OPEN], dtype=object)
+    kind, closed = np.full(n, "tie", dtype=object), np.zeros(n, dtype=bool)
+    ohm = np.full(n, OHM)
+    ties = Switches(names, first, second, kind, closed, r_ohm=ohm, x_ohm=ohm)
+    both = {
+        f.name: np.concatenate([getattr(day.switches, f.name), getattr(ties, f.name)])
+        for f in fields(Switches)
+    }
+    start = day.grid.start.normalize() + NOON
+    fault = LineFault(start, start + HOURS, line=line)
+    dark = (day.grid.times >= start) & (day.grid.times < start + HOURS) & outage
+    limit_kw = np.where(dark, 0.0, np.inf)
+    return replace(day, switches=Switches(**both), faults=(fault,), grid_limit_kw=limit_kw)
+
+
+def row(run: Trajectory, line: str, outage: bool, moves: bool) -> str:
+    """A row of the table."""
+    day, steps = run.scenario, run.steps
+    during = steps["lines_out"].ne("").to_numpy()
+    supplied = run.by_step("customers", "served")[during] @ day.customers.weight
+    share = float(supplied.mean() / day.customers.weight.sum())
+    off_h = float((~run.by_step("customers", "served").astype(bool)).sum() * day.grid.dt_h)
+    moved = "; ".join(words for words in steps.get("switched", ()) if words) or "none"
+    seconds = steps["solve_s"]
+    network = day.network
+    above = network.from_bus[network.bus_index[line] - 1]
+    return (
+        f"| {above}-{line} | {'outage' if outage else 'grid'} | {'move' if moves else 'stay'} | "
+        f"{share:.4f} | {off_h:.0f} | {moved} | {int((steps['status'] != 'optimal').sum())} | "
+        f"{steps['v_error_pu'].max():.1e} | {seconds.median():.1f}, {seconds.max():.1f} |"
+    )
+
+
+def main() -> int:
+    """Read the arguments and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--lines", nargs="*", default=[*LINES])
+    parser.add_argument("--horizon", type=float, default=5.0)
+    parser.add_argument("--page", type=Path, help="page whose table is written anew")
+    given = parser.parse_args()
+    table = [f"| {' | '.join(COLUMNS)} |", "| --- " * len(COLUMNS) + "|"]
+    day = scenario_of(given.folder / FEEDERS["123"])
+    for line in given.lines:
+        for outage in (False, True):
+            for moves in (False, True):
+                began = time.monotonic()
+                options = RunOptions(horizon_h=given.horizon, move_switches=moves)
+                run = run_day(switched(day, line, outage), options)
+                table.append(row(run, line, outage, moves))
+                say(f"{table[-1]} {time.monotonic() - began:.0f} s")
+                say("\n".join(filter(None, run.steps.get("switching_why", pd.Series()).unique())))
+    if given.page:
+        put_table(given.page, "\n".join(table), BEGIN, END)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
