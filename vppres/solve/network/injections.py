@@ -65,7 +65,9 @@ def select_devices(sheet: Sheet) -> Selection:
     ]
     found = Selection(sheet).relax("x_served", 0.0, 1.0).hold("P_flow", "Q_flow")
     found = found.relaxed_to_shares(statement.named("directions"))
-    beyond = [n for n in statement.implied_beyond if n not in LinesOut.for_network]
+    # Each part of a balanced feeder has a balance of its own here, and phases have it in theirs.
+    in_parts = () if sheet.site.phases else LinesOut.for_network
+    beyond = [name for name in statement.implied_beyond if name not in in_parts]
     found = found.keep(*of_devices, *beyond, *RATINGS, *BALANCES, *DISCS)
     sums = [total_balance(sheet, name) for name in BALANCES]
     parts = [*sums, *found.parts, one_mode_at_a_time(sheet)]
@@ -141,7 +143,7 @@ class Injections:
         """Balances of all parts but the grid's, which has what is left of the sums."""
         of_bus = self.data.parts.of_bus
         steps, buses = np.nonzero(of_bus)
-        if not len(steps):
+        if self.data.phased is not None or not len(steps):
             return []
         N = of_bus.shape[1]
         numbers, row = np.unique(steps * N + of_bus[steps, buses], return_inverse=True)
