@@ -392,6 +392,20 @@ def test_a_transformer_is_opened_beside_a_line_of_its_name(tmp_path: Path) -> No
     assert apart(feeder, file) < CLOSE_PU
 
 
+def test_of_single_phases_the_least_current_is_that_of_the_source(tmp_path: Path) -> None:
+    """Line yz carries opposite powers of two phases, which are next to none as balanced."""
+    way = "new line.{0} bus1={1} bus2={2} r1={3} x1={3} r0={3} x0={3} c1=0 c0=0 length=1"
+    ring = [way.format(*each.split()) for each in ("by b y .1", "yz y z .1", "bz b z .7")]
+    rest = (
+        "new line.w phases=1 bus1=b.1 bus2=w.1 r1=.3 x1=.4 r0=.3 x0=.4 c1=0 c0=0 length=1",
+        "new load.y bus1=y.1 phases=1 kv=2.4 kw=350",
+        "new load.z bus1=z.2 phases=1 kv=2.4 kw=45",
+        "new load.w bus1=w.1 phases=1 kv=2.4 kw=5",
+    )
+    feeder = import_network(written(tmp_path, (*BASE, *ring, *rest)), open_loops=True)
+    assert any(note.endswith("the least current: line 3 (bz).") for note in feeder.notes)
+
+
 FLOATING = (
     "new circuit.t basekv=12.47 bus1=s mvasc3=2000 mvasc1=1800",
     "new transformer.u phases=1 xhl=6 wdg=1 bus=s.1 kv=7.2 kva=2000 wdg=2 bus=m.1.2 "

@@ -19,7 +19,7 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import dark_steps, physics_of
 from vppres.control.phased_window import PhasedLinearisation
-from vppres.core.arrays import Complexes, Flags, Floats
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
@@ -206,11 +206,15 @@ class Recorded:
         rated = () if ratings is None else ((LineRatings, ratings),)
         return (*beyond_paper(self.site, seen), *rated)
 
+    @cached_property
+    def _parts(self) -> Wholes:
+        """Number of the part of each bus in each step, (T, N)."""
+        out = self.scenario.out_of_service(range(self.n_steps))
+        return parts_by_bus(self.scenario.network, out.lines)
+
     def behind(self, t: int, bus: BusId) -> str:
         """The line between a bus and the part with the grid in a step; empty for none."""
-        out = self.scenario.out_of_service(range(t, t + 1))
-        network = self.scenario.network
-        number = int(parts_by_bus(network, out.lines)[0, network.bus_index[bus]])
+        number = int(self._parts[t, self.scenario.network.bus_index[bus]])
         return self.scenario.behind(number, t) if number else ""
 
     def left_out(self, t: int) -> Flags:

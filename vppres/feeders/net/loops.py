@@ -55,8 +55,8 @@ def open_loops(net: Any, name: str) -> Opening:
     """Open branches in place until the net is radial.
 
     Parallel branches count as one. Transformers with three windings are never opened. Where the
-    power flow has no solution, the branches with the least current in the source's own are opened,
-    or those with the largest impedance.
+    power flow has no solution, or branches lack phases, the branches with the least current in the
+    source's own are opened, or those with the largest impedance.
     """
     before = after = _solved(net)
     closing = _closing(net, after is not None)
@@ -112,8 +112,10 @@ def _closing(net: Any, solved: bool) -> list[list[Element]]:
     phases are laid before those with fewer, which could not supply what hangs on the others.
     """
     branches, _ = without_stubs(case_of(net))
-    current = _currents(net) if solved else _given(net, "carried_kva") or _admittances(branches)
-    phases = _given(net, "phases")
+    given, phases = _given(net, "carried_kva"), _given(net, "phases")
+    # A balanced flow says little of branches that lack phases, the source's own solution all.
+    by_flow = solved and not (given and any(each < N_PHASES for each in phases.values()))
+    current = _currents(net) if by_flow else given or _admittances(branches)
     pairs: dict[tuple[int, int], list[Element]] = {}
     columns = (branches[column] for column in ("from", "to", "table", "element"))
     for start, end, table, i in zip(*columns, strict=True):
