@@ -437,7 +437,7 @@ def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
     late = replace(day, phases=replace(day.phases, lines=lines)).between(18, 20)
     reported = run_day(late.between(0, 1), RunOptions(horizon_h=0.0, ratings="report"))
     assert reported.steps["loading_max"].min() > 1.5
-    kept = run_day(late, RunOptions(horizon_h=1.0))
+    kept = run_day(late, RunOptions(horizon_h=1.0, ratings="limit"))
     shown = Run(kept, {})
     table = network_section(shown).html
     assert "The fullest phases" in table and "line from r to m, phase" in table
