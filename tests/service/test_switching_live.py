@@ -200,8 +200,13 @@ def test_switches_of_feeders_with_phases_are_refused(tmp_path: Path) -> None:
     options = replace(HERE, mode="physical")
     with asked(Service(day, options, paced=True), tmp_path / "db", SetClock(NOON)) as http:
         assert http.get("/v1/switching").json()["status"] == "none"
-        read(http, SetClock(NOON), s=1)
-        assert "keeps its phases" in want(http, s=False).content.decode()
+        plan = http.post("/v1/steps").json()
+        read(http, SetClock(NOON), s=0, t=1)
+        # Plans keep the lines of the folder, and are not made anew for each reading.
+        assert "switches_open" not in plan
+        assert "unaware_of" not in http.get("/v1/plan").json()
+        assert http.get("/v1/switching").json()["unlike_plans"] == ["s", "t"]
+        assert "keeps its phases" in want(http, s=True).content.decode()
 
 
 @pytest.mark.daily

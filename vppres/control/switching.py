@@ -83,14 +83,8 @@ class Switching(InConfiguration):
 
     Parameters
     ----------
-    day : Scenario
-        The day, in the configuration in which it begins.
-    controller_of : callable
-        Makes the controller of the day in a configuration.
-    site_of : callable
-        Makes the site that it plans for.
-    given : callable
-        What is known of a site without a memory of its controller.
+    day, controller_of, site_of, given
+        As those of :class:`InConfiguration`.
     solver_of : callable or None
         Makes the solver of bounds of a site; None where plans have other weights than it.
     centre : {"lossless", "literal", "none"}

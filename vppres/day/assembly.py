@@ -82,7 +82,7 @@ def make_controller(
     options = options.on(scenario)
     check_run(scenario, options, grid)
     moves = options.move_switches and scenario.switches.movable.any()
-    if moves or (measured and len(scenario.switches) and not scenario.phases):
+    if moves or (measured and scenario.follows_switches):
         fixed = replace(options, move_switches=False)
         of_day = partial(
             make_controller,

@@ -104,7 +104,7 @@ class Present:
         moment = Moment(known, row, range(row - (t - past.t - 1), row), past.served, at_h, now)
         live = parts("live")
         branches = Branches.of(now)
-        read = {} if now.phases else everything.closed  # those keep the scenario's lines
+        read = everything.closed if now.follows_switches else {}
         out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
         closed, looped = branches.with_states(read, past.closed, out)
         return cls(

@@ -209,6 +209,11 @@ class Scenario(OfKinds):
         return self.grid_limit_kw <= 0.0
 
     @property
+    def follows_switches(self) -> bool:
+        """Whether live plans are of the feeder as its switches are read; not yet with phases."""
+        return bool(len(self.switches)) and not self.phases
+
+    @property
     def formers(self) -> Flags:
         """Batteries that form the grid of an island, (B,); with phases those with all three."""
         return forming_batteries(self)

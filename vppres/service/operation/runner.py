@@ -512,7 +512,7 @@ class Runner:
             plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
         if faults := self.faults(self._moment(time)):
             plan[FAULTS] = told(faults, self.scenario.network, self.length, time)
-        if SWITCHES_OPEN not in plan and len(self.scenario.switches):
+        if SWITCHES_OPEN not in plan and self.scenario.follows_switches:
             closed = self._closed(self._moment(time))
             plan[SWITCHES_OPEN] = [*self.branches.open_names(closed)]
         if not known:
@@ -630,7 +630,7 @@ class Runner:
     def _closed(self, now: pd.Timestamp) -> Flags:
         """Lines and ties that are closed: as they were read, or else as in the last plan."""
         before = closed_by(self.last, self.branches)
-        if self.scenario.phases:
+        if not self.scenario.follows_switches:
             return before
         step = replace(self._profile_of(self.begun(now)), faults=self.faults(now))
         out = out_of_branches(step.out_of_service(range(1)), self.branches.ends)[0]

@@ -155,8 +155,11 @@ def plan_of(
 
 
 def _switching(decision: SetPoints, scenario: Scenario) -> dict[str, Any]:
-    """Lines and ties that are open, and switches that an operator is to move; empty without any."""
-    if not len(scenario.switches):
+    """Lines and ties that are open, and switches that an operator is to move.
+
+    Empty where plans do not follow switches.
+    """
+    if not scenario.follows_switches:
         return {}
     proposal = decision.proposal
     told = {PROPOSED: asdict(proposal)} if proposal.operations else {}

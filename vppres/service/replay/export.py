@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +173,7 @@ class Replay:
             record = _noted(world.obey(t, told, closed[t]), plan)
             yield _weighed(record, scenario, plan) if shared else record
 
-    @property
+    @cached_property
     def closed(self) -> list[Flags | None]:
         """Lines and ties that were closed in each step, (E,); None where no switch was moved."""
         branches = Branches.of(self.scenario)

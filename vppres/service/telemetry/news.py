@@ -136,9 +136,9 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
             lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
             words = f"battery {one.asset} is heard" if out else ""
             words = f"customer {one.asset} is heard" if lost else words
-        elif one.quantity == CLOSED and one.known:
+        elif one.quantity == CLOSED and one.known and SWITCHES_OPEN in plan:
             looped = LOOPED.format(one.asset) in plan.get("estimated", ())
-            unlike = (one.value == 1.0) == (one.asset in plan.get(SWITCHES_OPEN, ()))
+            unlike = (one.value == 1.0) == (one.asset in plan[SWITCHES_OPEN])
             state = "closed" if one.value else "open"
             words = f"{one.asset} is {state} ({one.source})" if unlike and not looped else ""
         elif grid and one.quantity == GRID_ON and one.known:
