@@ -83,11 +83,23 @@ def test_the_least_losses_of_33_buses() -> None:
     assert best.best.v_min_pu == pytest.approx(0.94129, abs=1e-5)
 
 
-def test_the_search_finds_the_least_losses_where_not_all_are_solved() -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_the_search_finds_the_least_losses_where_not_all_are_solved(seed: int) -> None:
     feeder, ring = switched("case33bw")
-    best = least_loss(ring, *feeder.injection, NO_LIMITS, most=1000, attempts=3)
-    assert not best.exact and best.solved < 5000
+    best = least_loss(ring, *feeder.injection, NO_LIMITS, most=1000, attempts=10, seed=seed)
+    assert not best.exact and best.solved < 10_000
     assert best.best.losses_kw == pytest.approx(139.551, abs=1e-3)
+
+
+def test_no_exchange_improves_what_the_search_found() -> None:
+    """Of each open branch, all others of its loop."""
+    feeder, ring = switched("case33bw")
+    best = least_loss(ring, *feeder.injection, NO_LIMITS, most=1000, attempts=1).best
+    flows = ConfigurationFlows(ring, *feeder.injection)
+    for place in range(ring.n_loops):
+        near = ring.exchanges(np.array(best.opened), place)
+        assert {len(set(row) - set(best.opened)) for row in near.tolist()} <= {1}
+        assert flows.solve(near).losses_kw.min() > best.losses_kw
 
 
 def test_configurations_are_the_trees_that_kirchhoff_counts() -> None:

@@ -125,20 +125,25 @@ class SwitchedNetwork:
         if waiting:
             yield np.concatenate(waiting)
 
-    def neighbours(self, opened: Wholes) -> Wholes:
-        """Configurations that one exchange makes: a switch is closed, another of its loop opened.
+    def exchanges(self, opened: Wholes, place: int) -> Wholes:
+        """Configurations that close one open branch, and open another of its loop.
+
+        Parameters
+        ----------
+        opened : array, shape (K,)
+            Branches that are open.
+        place : int
+            Which of them is closed.
 
         Returns
         -------
         array, shape (T, K)
         """
         inverse = np.linalg.inv(self.loops[opened].astype(float))
-        joined = np.abs(self.loops @ inverse) > 0.5
-        joined &= self.may_open[:, None]
+        joined = self.may_open & (np.abs(self.loops @ inverse[:, place]) > 0.5)
         joined[opened] = False
-        branch, place = np.nonzero(joined)
-        found = np.tile(opened, (len(branch), 1))
-        found[np.arange(len(branch)), place] = branch
+        found = np.tile(opened, (int(joined.sum()), 1))
+        found[:, place] = np.flatnonzero(joined)
         return found
 
     @cached_property

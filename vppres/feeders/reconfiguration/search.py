@@ -222,6 +222,8 @@ class _Search:
         self.bests = bests
         self.random = random
         self.solved = 0
+        # What no exchange improves under its limits: coming there again ends a descent.
+        self.ends: set[tuple[ConfigurationLimits, frozenset[int]]] = set()
 
     def run(self, attempts: int, progress: Progress) -> int:
         """Search from the present configuration and from the best ones; how many were solved."""
@@ -239,18 +241,22 @@ class _Search:
     def _moved(self, opened: Wholes) -> Wholes:
         """Another configuration, some random exchanges away."""
         for _ in range(self.random.integers(EXCHANGES[0], EXCHANGES[1], endpoint=True)):
-            near = self.feeder.neighbours(opened)
-            opened = near[self.random.integers(len(near))]
+            near = self.feeder.exchanges(opened, int(self.random.integers(len(opened))))
+            if len(near):
+                opened = near[self.random.integers(len(near))]
         return opened
 
     def _descend(self, limits: ConfigurationLimits, opened: Wholes) -> None:
-        """Take the best exchange until none improves."""
+        """Take the best exchange of one open branch after another, until none improves."""
         own = _Best(limits, self.feeder.present)
         own.see(opened[None], self._solve(opened[None]))
-        while True:
-            near = self.feeder.neighbours(own.opened)
-            if not own.see(near, self._solve(near)):
-                return
+        place = since = 0
+        while since < len(opened) and (limits, frozenset(own.opened.tolist())) not in self.ends:
+            near = self.feeder.exchanges(own.opened, place)
+            better = len(near) > 0 and own.see(near, self._solve(near))
+            since = 0 if better else since + 1
+            place = (place + 1) % len(opened)
+        self.ends.add((limits, frozenset(own.opened.tolist())))
 
     def _solve(self, opened: Wholes) -> Flows:
         """Solve some configurations, and show them to all that look for the best."""
