@@ -27,6 +27,8 @@ from vppres.io import (
 )
 from vppres.io.editor import json_schema
 from vppres.io.python_door import check_scenario
+from vppres.io.schema import PhaseConnectionRow
+from vppres.io.tables import Table, read_rows
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
@@ -310,6 +312,28 @@ def test_an_unwritable_scenario_is_refused_before_anything_is_written(
         "digits, '-', '_' and '.'."
     )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scenario_that_is_too_long_to_be_read_is_not_written(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Series have a row for each step, and are as long as the days are."""
+    monkeypatch.setattr("vppres.io.schema.MAX_ITEMS", len(tiny.customers) - 1)
+    n = len(tiny.customers)
+    assert f"customers.csv: has {n} rows, more than {n - 1}. " in refusal(
+        write_scenario, tiny, tmp_path / "long"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_connections_by_phase_may_be_those_of_all_devices_together() -> None:
+    """A feeder of 3,891 customers with PV power and batteries has 10,895 of them."""
+    rows = pd.DataFrame(
+        {"id": [f"d{i}" for i in range(10_895)], "bus": "1", "coils": "a", "kv": 0.24}
+    )
+    table = Table("phase_connections.csv", rows.astype(str))
+    found, problems = read_rows(table, PhaseConnectionRow)
+    assert (len(found), problems) == (10_895, [])
 
 
 # --- digest -------------------------------------------------------------------------------------

@@ -21,11 +21,9 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 from vppres.solve.ladder import WindowSolver
 
-MOST_SWITCHES = 5
 
-
-def switched_day(seed: int) -> Scenario:
-    """A random feeder with a fault, up to three ties, and up to five switches in all."""
+def switched_day(seed: int, most: int = 5) -> Scenario:
+    """A random feeder with a fault, up to three ties, and up to ``most`` switches in all."""
     day = faulted_day(seed)
     rng = np.random.default_rng([seed, 62])
     net = day.network
@@ -37,8 +35,8 @@ def switched_day(seed: int) -> Scenario:
         if a < b and frozenset((a, b)) not in near
     ]
     ties = [pairs[i] for i in rng.choice(len(pairs), size=int(rng.integers(1, 4)), replace=False)]
-    n_lines = int(rng.integers(0, MOST_SWITCHES - len(ties) + 1))
-    lines = rng.choice(net.n_lines, size=n_lines, replace=False)
+    n_lines = int(rng.integers(0, most - len(ties) + 1))
+    lines = rng.choice(net.n_lines, size=min(n_lines, net.n_lines), replace=False)
     ends = [*ties, *((net.from_bus[i], net.to_bus[i]) for i in lines)]
     closed = np.arange(len(ends)) >= len(ties)
     ohm = np.where(closed, np.nan, rng.uniform(0.05, 0.4, len(ends)).round(3))

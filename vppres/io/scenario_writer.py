@@ -24,6 +24,7 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
+from vppres.io.tables import too_many_rows
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
@@ -52,7 +53,8 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
     Raises
     ------
     InputError
-        If the folder holds something, or scenario.toml could not say what the scenario says.
+        If the folder holds something, scenario.toml could not say what the scenario says, or a
+        table would be too long to be read.
     """
     document_of(scenario)  # refused before anything is touched
     with atomic_folder(folder) as aside:
@@ -62,8 +64,17 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
 def fill_scenario_folder(scenario: Scenario, folder: Path) -> None:
     """Write the files of a scenario into an existing folder."""
     document = document_of(scenario)
+    frames = frames_of(scenario, document["tiers"])
+    long = [
+        problem
+        for name, frame in frames.items()
+        if TIME not in frame
+        for problem in too_many_rows(f"{name}.csv", len(frame))
+    ]
+    if long:
+        raise InputError(long)
     (folder / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
-    for name, frame in frames_of(scenario, document["tiers"]).items():
+    for name, frame in frames.items():
         frame.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 

@@ -326,6 +326,17 @@ PhaseTransformerRow = _model("phase_transformers.csv")
 PhaseShuntRow = _model("phase_shunts.csv")
 PhaseConnectionRow = _model("phase_connections.csv")
 
+MOST_ROWS = {"phase_connections.csv": 3 * MAX_ITEMS}  # customers, PV systems and batteries
+
+
+def most_rows(file: str) -> int:
+    """Most rows of a table of items.
+
+    >>> most_rows("customers.csv"), most_rows("phase_connections.csv")
+    (10000, 30000)
+    """
+    return MOST_ROWS.get(file, MAX_ITEMS)
+
 
 def unit(field: FieldInfo) -> str:
     """Unit of a field, empty if it has none.

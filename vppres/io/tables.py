@@ -158,18 +158,21 @@ def read_text(path: Path, most_bytes: int = MAX_FILE_BYTES) -> tuple[str, list[P
         ]
 
 
+def too_many_rows(file: str, n_rows: int) -> list[Problem]:
+    """The problem of a table of items that is too long."""
+    most = schema.most_rows(file)
+    if n_rows <= most:
+        return []
+    cure = "Reduce the feeder, or split it at its substation."
+    return [Problem(file, f"has {n_rows} rows, more than {most}", cure)]
+
+
 def read_rows(table: Table, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
     """The sound rows of a table by line, and the problems of the others."""
     if not table:
         return {}, []
-    if len(table.frame) > schema.MAX_ITEMS:
-        return {}, [
-            Problem(
-                table.file,
-                f"has {len(table.frame)} rows, more than {schema.MAX_ITEMS}",
-                "Reduce the feeder, or split it at its substation.",
-            )
-        ]
+    if problems := too_many_rows(table.file, len(table.frame)):
+        return {}, problems
     problems = check_columns(
         table,
         list(model.model_fields),
