@@ -21,6 +21,7 @@ from vppres.day.wide import Wide
 from vppres.kinds.fields import RunsOfKinds
 from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
+from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -265,9 +266,20 @@ class Trajectory(RunsOfKinds):
                 str(self.options.get("mode", "paper")),
                 self.rows("buses", t)["v_ac_pu"].to_numpy(float),
                 self.forms(t),
+                self.carries(t),
             ),
             {kind: self._active(kind, t) for kind in units_of(day)},
         )
+
+    def carries(self, t: int) -> Flags:
+        """Lines and ties that carry in a step, (E,): closed and not out by a fault."""
+        branches = Branches.of(self.scenario)
+        closed = branches.closed
+        if SWITCHES_OPEN in self.steps:
+            closed = branches.closed_but(self.steps[SWITCHES_OPEN].iloc[t].split(APART))
+        out = self.scenario.out_of_service(range(t, t + 1))
+        carries: Flags = closed & ~out_of_branches(out, branches.ends)[0]
+        return carries
 
     def forms(self, t: int) -> dict[str, Flags]:
         """Units that formed the grid in a step, (n,), by kind; none where none can."""

@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.day.trajectory import Trajectory
-from vppres.feeders.actuate import Feeding
+from vppres.feeders.actuate import holder_of
 from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.report.plots.chart import Chart, Curve, Curves, Limit
@@ -38,7 +38,7 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
         return recheck_phased(run.tables, phases, source, island_former(run.scenario))
     no_battery = largest_forming_battery(run.scenario) is None
     forms = named_units(run.scenario) if no_battery else {}
-    holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
+    holder = holder_of(run.scenario, True, mode, forms)
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder
     return recheck_opendss(run.tables, source, held, opened)
