@@ -174,6 +174,24 @@ def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:
     assert "s cannot be closed: its line, or a bus of it, has a fault." in back.content.decode()
 
 
+@pytest.mark.parametrize(
+    ("line", "cure"),
+    [
+        ("2-3", "Give 3: a line is named by the bus that it feeds."),
+        ("line 4-2", "Give 4: a line is named by the bus that it feeds."),
+        ("s", "Give 3: a line is named by the bus that it feeds."),
+        ("t", "Send closed, 0, of it as telemetry: a tie has no fault of its own."),
+    ],
+)
+def test_a_fault_of_what_an_operator_calls_a_line_says_how_to_name_it(
+    live: Live, line: str, cure: str
+) -> None:
+    fault = {"type": "fault", "line": line, "start": written(NOON), "end": None}
+    answer = live[0].put("/v1/events/digger", fault)
+    [problem] = answer.json()["problems"]
+    assert (answer.status, problem["cure"]) == (422, cure)
+
+
 def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Path) -> None:
     day = switched(locked=["men at work", ""])
     with asked(Service(day, HERE, paced=True), tmp_path / "db", SetClock(NOON)) as http:
@@ -360,3 +378,52 @@ def test_steps_without_a_decision_are_of_the_feeder_as_it_is_read(tmp_path: Path
         plan = decided(http, clock, NOON)
         assert (plan["status"], plan["switches_open"]) == ("failed", ["s"])
         assert the_shop(plan)["served"]
+
+
+def test_a_customer_behind_open_switches_is_off_for_them(tmp_path: Path) -> None:
+    """Nobody is told that a customer is off although there is grid: there is none behind them."""
+    service = Service(switched(), replace(HERE, mode="physical"), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=0)
+        plan = decided(http, runner.clock, NOON)
+        why = "no battery forms the grid behind line 2-3, which is open"
+        assert the_shop(plan)["reason"] == f"blacked out: {why}"
+        [alarm] = standing(http, "off_with_grid")
+        assert alarm["text"] == f"shop off supply: {why}."
+        [shop] = http.get("/v1/explanations").json()["reasons"]
+        assert shop["words"] == f"Not supplied: {why}."
+
+
+def test_a_switch_does_not_move_because_its_reading_is_missing(live: Live) -> None:
+    """Open at 12:02, and nothing known of it from 12:03 on, by another source too."""
+    http, clock = live
+    read(http, clock, t=1, s=1)
+    assert decided(http, clock, NOON)["switches_open"] == ["t"]
+    clock.set(NOON + pd.Timedelta("5min"))
+    at = {"asset": "s", "quantity": "closed", "resolution": "PT1M"}
+    for source, minute, value in (("rtu", 2, 0), ("rtu", 3, None), ("scada", 4, None)):
+        start = written(NOON + pd.Timedelta(minutes=minute))
+        body = {"series": [{**at, "source": source, "start": start, "values": [value]}]}
+        assert http.post("/v1/telemetry", body).status == 200
+    assert http.get("/v1/switching").json()["read"] == {"s": False, "t": True}
+    assert decided(http, clock, NOON + HOUR)["switches_open"] == ["s"]
+
+
+@pytest.mark.parametrize(
+    ("asset", "quantity", "value", "message", "cure"),
+    [
+        ("t", "closed", 2, "must be 0 or 1", "Give 1 if it is closed, else 0."),
+        ("grid", "grid_on", 0.5, "must be 0 or 1", "Give 1 if there is grid, else 0."),
+        ("t", "soc", 0.5, "has no soc", "Give an asset with soc. Known: big, small."),
+        ("big", "closed", 1, "has no closed", "Give an asset with closed. Known: t, s."),
+        ("x", "closed", 1, "is not at the site", "Give an asset with closed. Known: t, s."),
+    ],
+)
+def test_a_reading_that_is_refused_says_what_would_do(
+    live: Live, asset: str, quantity: str, value: float, message: str, cure: str
+) -> None:
+    one = {"source": "scada", "asset": asset, "quantity": quantity, "start": written(NOON),
+           "resolution": "PT1M", "values": [value]}  # fmt: skip
+    answer = live[0].post("/v1/telemetry", {"series": [one]})
+    [problem] = answer.json()["problems"]
+    assert (answer.status, problem["message"], problem["cure"]) == (422, message, cure)

@@ -418,7 +418,7 @@ def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict
         columns[ROTATED] = decision.weight
     if scenario.customers.dimmable.any():
         columns[SHARE] = realised.served * realised.share
-    if scenario.faults:
+    if scenario.faults or decision.switched is not None:
         nothing = np.full(len(realised.served), "", dtype=object)
         columns[OFF_BY_FAULT] = nothing if done.off is None else done.off
     return columns
