@@ -54,9 +54,8 @@ def _by_its_line(name: str, branches: Branches) -> str:
     """How a line is given that is called by both of its buses, or by its switch; empty for none."""
     network = branches.network
     ends = zip(network.from_bus, network.to_bus, strict=True)
-    pairs = [{f"{a}-{b}", f"{b}-{a}", f"line {a}-{b}"} for a, b in ends]
-    for line, names in enumerate(pairs):
-        if name in {*names, branches.names[line]}:
+    for line, (a, b) in enumerate(ends):
+        if name.removeprefix("line ") in (f"{a}-{b}", f"{b}-{a}", branches.names[line]):
             return f"Give {network.to_bus[line]}: a line is named by the bus that it feeds."
     if name in branches.names:
         return "Send closed, 0, of it as telemetry: a tie has no fault of its own."
