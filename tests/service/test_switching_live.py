@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -21,6 +22,8 @@ from tests.support.page_words import NODE, said_by
 from tests.support.switching_service import confirm, read, switched, want
 from tests.support.three_phases import three_phases
 from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner, Service
 from vppres.service.replay.explanations import explained, question
@@ -130,7 +133,7 @@ def test_an_order_that_is_stopped_is_an_alarm(tmp_path: Path) -> None:
 
 
 def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
-    """It is raised when telemetry is late, cleared when it comes, and raised without grid."""
+    """It is raised when telemetry is late, and cleared when it comes."""
 
     def stopped() -> list[dict[str, Any]]:
         runner.check_alarms()
@@ -150,12 +153,20 @@ def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
     read(http, clock, t=1)
     assert http.get("/v1/switching").json()["next"] == "s"
     assert all(one["cleared_at"] for one in stopped())
-    # A grid that is lost stops it too.
+    # A grid that is lost does not stop it.
+    lose_grid(http, clock)
+    assert http.get("/v1/switching").json()["next"] == "s"
+    assert all(one["cleared_at"] for one in stopped())
+
+
+def lose_grid(http: Caller, clock: SetClock) -> None:
+    """A reading that the grid is lost, as an event announced it."""
+    until = written(clock.now() + HOUR)
+    event = {"type": "outage", "start": written(clock.now()), "end": until}
+    assert http.put("/v1/events/works", event).status == 201
     grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "resolution": "PT1M"}
     body = {"series": [{**grid, "start": written(clock.now()), "values": [0]}]}
     assert http.post("/v1/telemetry", body).status == 200
-    (alarm,) = [one for one in stopped() if not one["cleared_at"]]
-    assert alarm["text"].startswith("The order of switching is stopped: The grid is lost")
 
 
 def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:
@@ -204,12 +215,6 @@ def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Pat
         assert locked.status == 422 and "t is locked: men at work." in locked.content.decode()
         loop = want(http, t=True)
         assert loop.status == 422 and "t is locked" in loop.content.decode()
-        # A grid that is lost, by the plan or by a reading.
-        grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "start": written(NOON),
-                "resolution": "PT1H", "values": [0]}  # fmt: skip
-        http.post("/v1/telemetry", {"series": [grid]})
-        lost = want(http, s=False)
-        assert lost.status == 422 and "The grid is lost" in lost.content.decode()
         assert http.get("/v1/switching").json()["status"] == "none"
 
 
@@ -378,6 +383,79 @@ def test_steps_without_a_decision_are_of_the_feeder_as_it_is_read(tmp_path: Path
         plan = decided(http, clock, NOON)
         assert (plan["status"], plan["switches_open"]) == ("failed", ["s"])
         assert the_shop(plan)["served"]
+
+
+def with_three_switches() -> Scenario:
+    """The tie from 3 to 4, and a switch on each of the lines from 2."""
+    none = np.nan
+    switches = Switches(
+        ["t", "s", "u"],
+        [3, 2, 2],
+        [4, 3, 4],
+        ["tie", "sectionaliser", "sectionaliser"],
+        [False, True, True],
+        r_ohm=[0.5, none, none],
+        x_ohm=[0.4, none, none],
+    )
+    return replace(switched(), switches=switches)
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_without_grid_a_tie_supplies_what_is_behind_a_fault(tmp_path: Path, mode: str) -> None:
+    service = Service(switched(), replace(HERE, mode=mode), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=1)
+        lose_grid(http, runner.clock)
+        out(http, "3")
+        anew = decided(http, runner.clock, NOON, 0.84)
+        assert not the_shop(anew)["served"]
+        told = want(http, t=True, s=False).json()
+        words = "; ".join(told["operations"])
+        assert "close t: it supplies customer shop; " in words
+        assert "open s: it has carried nothing since the fault; " in words
+        while name := http.get("/v1/switching").json()["next"]:
+            assert confirm(http, name).status == 200
+            runner.clock.set(runner.clock.now() + pd.Timedelta("1min"))
+            read(http, runner.clock, **{name: int(name == "t")})
+            anew = runner.anew() or anew
+        assert http.get("/v1/switching").json()["status"] == "done"
+        assert the_shop(anew)["served"] and not anew["grid"]["available"]
+
+
+def test_an_island_is_split_where_each_part_holds_what_its_set_points_say(tmp_path: Path) -> None:
+    """Without the other battery, big at bus 2 would have to give 60 + 40 - 20 kW of 50."""
+    day = with_three_switches()
+    with serving(
+        Service(day, replace(HERE, mode="physical"), paced=True), tmp_path / "db", SetClock(NOON)
+    ) as (http, runner):
+        read(http, runner.clock, t=0, s=1, u=1)
+        lose_grid(http, runner.clock)
+        plan = decided(http, runner.clock, NOON, 0.84)
+        on = {name: one["served"] for name, one in said(plan, "customers").items()}
+        assert on == {"hospital": True, "shop": True, "homes": False}
+        refused = want(http, u=False).content.decode()
+        assert "big holds the island with 80.0 kW" in refused
+        told = want(http, s=False).json()
+        assert told["operations"][0].startswith("open s: customer shop is without supply; ")
+        runner.clock.set(NOON + pd.Timedelta("1min"))
+        read(http, runner.clock, s=0)
+        anew = runner.anew() or {}
+        assert not the_shop(anew)["served"]
+        told = want(http, u=False).json()
+        assert told["operations"][0].startswith(
+            "open u: it splits off an island, which small holds"
+        )
+
+
+def test_a_dark_island_has_no_voltage_to_check(tmp_path: Path) -> None:
+    service = Service(switched(), replace(HERE, mode="physical"), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=1)
+        lose_grid(http, runner.clock)
+        plan = decided(http, runner.clock, NOON, 0.15)
+        assert plan["solve"]["dark_reason"]
+        told = want(http, s=False).json()
+        assert told["operations"][0].startswith("open s: its line has no supply")
 
 
 def test_a_customer_behind_open_switches_is_off_for_them(tmp_path: Path) -> None:
