@@ -173,6 +173,23 @@ def test_words_name_the_fault(tiny: Scenario) -> None:
     assert (4, "Line 2-4 in service again.") in events
 
 
+def test_events_have_the_names_of_buses_as_they_are(tiny: Scenario) -> None:
+    """Capitals stay, and a name with "and" in it is one name."""
+    names = {bus: f"Mill and Son {bus}" for bus in (1, 2, 3, 4)}
+    net = tiny.network
+    ends = {side: [names[bus] for bus in getattr(net, side)] for side in ("from_bus", "to_bus")}
+    named = {
+        table: replace(assets, bus=[names[bus] for bus in assets.bus])
+        for table in ("customers", "batteries")
+        if (assets := getattr(tiny, table))
+    }
+    network = replace(net, **ends, slack_bus=names[net.slack_bus])
+    run = run_day(with_fault(replace(tiny, network=network, **named), line=names[4]), PAPER)
+    words = [event.words for event in events_of(run)]
+    line = "Line Mill and Son 2-Mill and Son 4"
+    assert {f"{line} out of service.", f"{line} in service again."} < {*words}
+
+
 def test_a_part_that_has_too_little_is_named(tiny: Scenario) -> None:
     """Battery and PV power of the homes carry less than their demand."""
     named = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])

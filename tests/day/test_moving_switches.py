@@ -11,7 +11,8 @@ import pytest
 
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
-from vppres import Controller, InputError, RunOptions, run_day
+from vppres import Controller, InputError, RunOptions, read_run, run_day
+from vppres.day.configured import configurations_of
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
@@ -19,7 +20,7 @@ from vppres.io.find import load_scenario
 from vppres.report.events import events_of
 from vppres.report.one_line import step_states
 from vppres.report.operating_order import shown_orders
-from vppres.report.run_folder import render_report
+from vppres.report.run_folder import render_report, write_run
 from vppres.scenario.configuration import Branches, in_configuration
 from vppres.scenario.faults import LineFault
 from vppres.scenario.phases import Phases
@@ -62,6 +63,27 @@ def test_a_tie_takes_over_behind_a_fault(tiny: Scenario, tmp_path: Path) -> None
     still = run_day(day, PAPER)
     homes = still.customers[still.customers["id"] == "homes"]
     assert homes["served"].tolist() == [True, True, False, False, True, True]
+
+
+def test_a_tie_that_is_called_as_the_line_beside_it_is_told_apart(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Its name, one with a comma, and buses whose names have capitals, in record and report."""
+    switches = replace(ties((2, 4), (3, 4)), id=["2-4", 'north, "old"'], operable=[True, False])
+    day = with_fault(tiny, switches, line=4)
+    branches = Branches.of(day)
+    assert branches.names == ("1-2", "2-3", "line 2-4", "2-4", 'north, "old"')
+    run = run_day(day, MOVING)
+    assert run.customers["served"].all()
+    assert run.steps["switched"].iloc[2] == "closed 2-4, opened line 2-4"
+    write_run(run, tmp_path / "run", figures=False)
+    found = configurations_of(read_run(tmp_path / "run"))
+    assert found is not None
+    assert [flags.tolist() for flags in found] == [
+        [True, True, True, False, False],
+        [True, True, True, False, False],
+        *[[True, True, False, True, False]] * 4,
+    ]
 
 
 def test_a_tie_of_three_phases_takes_over_behind_a_fault(tiny: Scenario) -> None:

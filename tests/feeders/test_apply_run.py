@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -106,3 +107,96 @@ def test_transformers_and_charging_stay_as_they_are() -> None:
     for t, time in enumerate(run.steps["time"]):
         run.apply_to(net, feeder, time)
         agrees(net, feeder, run, t)
+
+
+def voltages_agree(net: Any, feeder: Any, network: Any, v_pu: Any) -> None:
+    """The net's voltages are the recorded ones; buses without supply have none in either."""
+    pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
+    recorded = dict(zip(network.buses, v_pu, strict=True))
+    found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
+    expected = np.array([recorded[bus] for bus in feeder.bus_of.values()])
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=TOLERANCE_PU)
+
+
+def state_of(net: Any) -> dict[str, list[bool]]:
+    return {
+        "line": net.line["in_service"].tolist(),
+        "trafo": net.trafo["in_service"].tolist(),
+        "switch": net.switch["closed"].tolist(),
+    }
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_lines_that_are_out_or_open_carry_nothing_and_ties_that_are_closed_do(mode: str) -> None:
+    """A fault behind which a battery holds a part, an outage meanwhile, ties that take over."""
+    net, start = pandapower.networks.case33bw(), pd.Timestamp("2025-07-01T00:00Z")
+    feeder, before = vppres.import_network(net), state_of(net)
+    day = vppres.new_scenario(
+        feeder,
+        vppres.NewScenarioOptions(
+            step_minutes=240.0, draw_tiers=True, add_batteries=True, outages=(OUTAGE,)
+        ),
+    )
+    hour = pd.Timedelta(hours=1)
+    faults = (
+        vppres.LineFault(start + 4 * hour, start + 12 * hour, line=6),
+        vppres.LineFault(start + 20 * hour, start + 24 * hour, bus=20),
+    )
+    options = vppres.RunOptions(horizon_h=8.0, mode=mode, move_switches=True)
+    run = vppres.run_day(replace(day, faults=faults), options)
+    moved = run.steps["switched"].tolist()
+    assert moved[1].startswith("closed ") and moved[5].startswith("closed ")
+    n_buses = day.network.n_buses
+    for t in (5, 0, 1, 2, 3, 4):
+        run.apply_to(net, feeder, run.steps["time"].iloc[t])
+        v_pu = run.buses["v_ac_pu"].iloc[t * n_buses : (t + 1) * n_buses]
+        voltages_agree(net, feeder, day.network, v_pu)
+        given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
+        assert given_kw == pytest.approx(run.steps["p_grid_kw"].iloc[t], abs=0.01)
+        assert (state_of(net) == before) == (t == 0)
+
+
+def test_set_points_of_switches_that_are_read_are_put_into_the_net() -> None:
+    """The net's own switches and branches: a tie of a switch, one of a line, one out of service."""
+    net = ringed_net()
+    feeder, before = vppres.import_network(net), state_of(net)
+    options = vppres.NewScenarioOptions(step_minutes=120.0, add_batteries=True)
+    day = vppres.new_scenario(feeder, options)
+    at = {str(name): set(ends) for name, *ends in zip(
+        day.switches.id, day.switches.from_bus, day.switches.to_bus, strict=True)}  # fmt: skip
+    assert sorted(map(sorted, at.values())) == [[1, 2], [1, 4], [2, 3], [3, 4]]
+    controller = vppres.Controller.of(day, vppres.RunOptions("idle", mode="physical"))
+    tie, open_end, off, closed = (
+        next(name for name, ends in at.items() if ends == pair)
+        for pair in ({3, 4}, {1, 4}, {2, 3}, {1, 2})
+    )
+    for t, read in enumerate(
+        ({}, {closed: False}, {off: True}, {off: False, open_end: True}, {tie: True},
+         {open_end: False, tie: False, closed: True})
+    ):  # fmt: skip
+        soc = dict.fromkeys(day.batteries.id, 0.5)
+        told = controller.step(vppres.Measurement(controller.times[t], soc, closed=read))
+        told.apply_to(net, feeder)
+        voltages_agree(net, feeder, day.network, told.buses["v_ac_pu"])
+        given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
+        assert given_kw == pytest.approx(told.import_kw, abs=0.01)
+        assert (state_of(net) == before) == (t in (0, 5))
+
+
+def ringed_net() -> Any:
+    """Five buses: a line with a switch, and ties as an open switch, an open end and a line off."""
+    net = pp.create_empty_network()
+    buses = [pp.create_bus(net, vn_kv=11.0) for _ in range(5)]
+    pp.create_ext_grid(net, buses[0])
+    lines = {
+        (a, b): pp.create_line_from_parameters(net, a, b, 1.0, 0.4, 0.3, 0.0, 0.4)
+        for a, b in ((0, 1), (1, 2), (1, 3), (0, 4), (1, 4), (2, 3))
+    }
+    pp.create_switch(net, 1, lines[1, 2], et="l", closed=True, name="S12")
+    pp.create_switch(net, 4, lines[1, 4], et="l", closed=False, name="T14")
+    net.line.loc[lines[2, 3], "in_service"] = False
+    pp.create_switch(net, 3, 4, et="b", closed=False, name="T34")
+    for bus in buses[1:]:
+        pp.create_load(net, bus, p_mw=0.3, q_mvar=0.1)
+    return net

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import vppres
 from tests.support.refusals import refusal
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
-from vppres.report.rechecked import summary_of
+from vppres.report.rechecked import recheck_run, summary_of, write_recheck
 
 TIMES = pd.date_range("2025-07-01T00:00Z", periods=3, freq="h")
 BUSES = ("src", "a", "b")
@@ -199,3 +201,39 @@ def test_a_run_of_another_feeder_is_refused(tmp_path: Path) -> None:
         "lane.dss: has no load at the buses of 1 customers: bus elsewhere. Give the file that the "
         "run's scenario was made from."
     )
+
+
+BALANCED = """
+new circuit.street basekv=0.4 pu=1.0 bus1=src phases=3 isc3=1e6 isc1=1e6
+new line.main bus1=src bus2=a phases=3 r1=0.1 x1=0.1 r0=0.1 x0=0.1 c1=0 c0=0 length=1 units=km
+new line.end bus1=a bus2=b phases=3 r1=0.2 x1=0.1 r0=0.2 x0=0.1 c1=0 c0=0 length=1 units=km
+new load.shop bus1=a phases=3 kv=0.4 kw=3 kvar=0 vminpu=0.5 vmaxpu=1.5
+new load.mill bus1=b phases=3 kv=0.4 kw=3 kvar=0 vminpu=0.5 vmaxpu=1.5
+set voltagebases=[0.4]
+"""
+
+
+@pytest.mark.daily
+def test_steps_with_lines_out_are_not_compared_with_a_circuit_that_has_them(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "street.dss").write_text(BALANCED)
+    feeder = vppres.import_network(tmp_path / "street.dss")
+    noon = pd.Timestamp("2025-07-01T12:00Z")
+    options = vppres.NewScenarioOptions(
+        step_minutes=240.0, outages=((noon, noon + pd.Timedelta("4h")),)
+    )
+    day = vppres.new_scenario(feeder, options)
+    fault = vppres.LineFault(noon - pd.Timedelta("4h"), noon, line="b")
+    run = vppres.run_day(replace(day, faults=(fault,)), vppres.RunOptions("idle", mode="paper"))
+    found = recheck_run(run, tmp_path / "street.dss")
+    assert noon - pd.Timedelta("4h") not in set(found.steps["time"]) and len(found.steps) == 5
+    what = "in which lines are out or switches stand otherwise than in the script"
+    assert found.notes[-1] == f"Not compared: 1 step {what}."
+    assert found.voltages["difference_pu"].abs().max() < 1e-4
+    written = write_recheck(run, found, tmp_path / "recheck")
+    assert written["largest"] is not None
+    always = replace(fault, start=day.grid.start, end=day.grid.end)
+    run = vppres.run_day(replace(day, faults=(always,)), vppres.RunOptions("idle", mode="paper"))
+    with pytest.raises(vppres.InputError, match=f"has only steps {what}"):
+        recheck_run(run, tmp_path / "street.dss")

@@ -207,7 +207,7 @@ def test_set_points_in_a_pandapower_net(net: Any) -> None:
         assert net.res_bus["vm_pu"].to_numpy() == pytest.approx(expected.to_numpy(), abs=1e-7)
         from_grid = net.res_ext_grid["p_mw"].sum() * 1000
         assert from_grid == pytest.approx(decision.import_kw, abs=1e-3)
-        assert net.ext_grid["in_service"][0] == decision.feeding.from_grid
+        assert net.ext_grid["in_service"][0] == (decision.feeding.grid_bus is not None)
     assert not decision.customers.empty
     # What the scenario stands in for is kept, and off.
     assert (len(net.sgen), len(net.storage)) == (1 + len(day.pv), len(day.batteries))

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -21,6 +22,8 @@ from tests.support.page_words import NODE, said_by
 from tests.support.switching_service import confirm, read, switched, want
 from tests.support.three_phases import three_phases
 from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner, Service
 from vppres.service.replay.explanations import explained, question
@@ -130,7 +133,7 @@ def test_an_order_that_is_stopped_is_an_alarm(tmp_path: Path) -> None:
 
 
 def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
-    """It is raised when telemetry is late, cleared when it comes, and raised without grid."""
+    """It is raised when telemetry is late, and cleared when it comes."""
 
     def stopped() -> list[dict[str, Any]]:
         runner.check_alarms()
@@ -150,12 +153,20 @@ def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
     read(http, clock, t=1)
     assert http.get("/v1/switching").json()["next"] == "s"
     assert all(one["cleared_at"] for one in stopped())
-    # A grid that is lost stops it too.
+    # A grid that is lost does not stop it.
+    lose_grid(http, clock)
+    assert http.get("/v1/switching").json()["next"] == "s"
+    assert all(one["cleared_at"] for one in stopped())
+
+
+def lose_grid(http: Caller, clock: SetClock) -> None:
+    """A reading that the grid is lost, as an event announced it."""
+    until = written(clock.now() + HOUR)
+    event = {"type": "outage", "start": written(clock.now()), "end": until}
+    assert http.put("/v1/events/works", event).status == 201
     grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "resolution": "PT1M"}
     body = {"series": [{**grid, "start": written(clock.now()), "values": [0]}]}
     assert http.post("/v1/telemetry", body).status == 200
-    (alarm,) = [one for one in stopped() if not one["cleared_at"]]
-    assert alarm["text"].startswith("The order of switching is stopped: The grid is lost")
 
 
 def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:
@@ -174,6 +185,24 @@ def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:
     assert "s cannot be closed: its line, or a bus of it, has a fault." in back.content.decode()
 
 
+@pytest.mark.parametrize(
+    ("line", "cure"),
+    [
+        ("2-3", "Give 3: a line is named by the bus that it feeds."),
+        ("line 4-2", "Give 4: a line is named by the bus that it feeds."),
+        ("s", "Give 3: a line is named by the bus that it feeds."),
+        ("t", "Send closed, 0, of it as telemetry: a tie has no fault of its own."),
+    ],
+)
+def test_a_fault_of_what_an_operator_calls_a_line_says_how_to_name_it(
+    live: Live, line: str, cure: str
+) -> None:
+    fault = {"type": "fault", "line": line, "start": written(NOON), "end": None}
+    answer = live[0].put("/v1/events/digger", fault)
+    [problem] = answer.json()["problems"]
+    assert (answer.status, problem["cure"]) == (422, cure)
+
+
 def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Path) -> None:
     day = switched(locked=["men at work", ""])
     with asked(Service(day, HERE, paced=True), tmp_path / "db", SetClock(NOON)) as http:
@@ -186,12 +215,6 @@ def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Pat
         assert locked.status == 422 and "t is locked: men at work." in locked.content.decode()
         loop = want(http, t=True)
         assert loop.status == 422 and "t is locked" in loop.content.decode()
-        # A grid that is lost, by the plan or by a reading.
-        grid = {"source": "scada", "asset": "grid", "quantity": "grid_on", "start": written(NOON),
-                "resolution": "PT1H", "values": [0]}  # fmt: skip
-        http.post("/v1/telemetry", {"series": [grid]})
-        lost = want(http, s=False)
-        assert lost.status == 422 and "The grid is lost" in lost.content.decode()
         assert http.get("/v1/switching").json()["status"] == "none"
 
 
@@ -360,3 +383,125 @@ def test_steps_without_a_decision_are_of_the_feeder_as_it_is_read(tmp_path: Path
         plan = decided(http, clock, NOON)
         assert (plan["status"], plan["switches_open"]) == ("failed", ["s"])
         assert the_shop(plan)["served"]
+
+
+def with_three_switches() -> Scenario:
+    """The tie from 3 to 4, and a switch on each of the lines from 2."""
+    none = np.nan
+    switches = Switches(
+        ["t", "s", "u"],
+        [3, 2, 2],
+        [4, 3, 4],
+        ["tie", "sectionaliser", "sectionaliser"],
+        [False, True, True],
+        r_ohm=[0.5, none, none],
+        x_ohm=[0.4, none, none],
+    )
+    return replace(switched(), switches=switches)
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_without_grid_a_tie_supplies_what_is_behind_a_fault(tmp_path: Path, mode: str) -> None:
+    service = Service(switched(), replace(HERE, mode=mode), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=1)
+        lose_grid(http, runner.clock)
+        out(http, "3")
+        anew = decided(http, runner.clock, NOON, 0.84)
+        assert not the_shop(anew)["served"]
+        told = want(http, t=True, s=False).json()
+        words = "; ".join(told["operations"])
+        assert "close t: it supplies customer shop; " in words
+        assert "open s: it has carried nothing since the fault; " in words
+        while name := http.get("/v1/switching").json()["next"]:
+            assert confirm(http, name).status == 200
+            runner.clock.set(runner.clock.now() + pd.Timedelta("1min"))
+            read(http, runner.clock, **{name: int(name == "t")})
+            anew = runner.anew() or anew
+        assert http.get("/v1/switching").json()["status"] == "done"
+        assert the_shop(anew)["served"] and not anew["grid"]["available"]
+
+
+def test_an_island_is_split_where_each_part_holds_what_its_set_points_say(tmp_path: Path) -> None:
+    """Without the other battery, big at bus 2 would have to give 60 + 40 - 20 kW of 50."""
+    day = with_three_switches()
+    with serving(
+        Service(day, replace(HERE, mode="physical"), paced=True), tmp_path / "db", SetClock(NOON)
+    ) as (http, runner):
+        read(http, runner.clock, t=0, s=1, u=1)
+        lose_grid(http, runner.clock)
+        plan = decided(http, runner.clock, NOON, 0.84)
+        on = {name: one["served"] for name, one in said(plan, "customers").items()}
+        assert on == {"hospital": True, "shop": True, "homes": False}
+        refused = want(http, u=False).content.decode()
+        assert "big holds the island with 80.0 kW" in refused
+        told = want(http, s=False).json()
+        assert told["operations"][0].startswith("open s: customer shop is without supply; ")
+        runner.clock.set(NOON + pd.Timedelta("1min"))
+        read(http, runner.clock, s=0)
+        anew = runner.anew() or {}
+        assert not the_shop(anew)["served"]
+        told = want(http, u=False).json()
+        assert told["operations"][0].startswith(
+            "open u: it splits off an island, which small holds"
+        )
+
+
+def test_a_dark_island_has_no_voltage_to_check(tmp_path: Path) -> None:
+    service = Service(switched(), replace(HERE, mode="physical"), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=1)
+        lose_grid(http, runner.clock)
+        plan = decided(http, runner.clock, NOON, 0.15)
+        assert plan["solve"]["dark_reason"]
+        told = want(http, s=False).json()
+        assert told["operations"][0].startswith("open s: its line has no supply")
+
+
+def test_a_customer_behind_open_switches_is_off_for_them(tmp_path: Path) -> None:
+    """Nobody is told that a customer is off although there is grid: there is none behind them."""
+    service = Service(switched(), replace(HERE, mode="physical"), paced=True)
+    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+        read(http, runner.clock, t=0, s=0)
+        plan = decided(http, runner.clock, NOON)
+        why = "no battery forms the grid behind line 2-3, which is open"
+        assert the_shop(plan)["reason"] == f"blacked out: {why}"
+        [alarm] = standing(http, "off_with_grid")
+        assert alarm["text"] == f"shop off supply: {why}."
+        [shop] = http.get("/v1/explanations").json()["reasons"]
+        assert shop["words"] == f"Not supplied: {why}."
+
+
+def test_a_switch_does_not_move_because_its_reading_is_missing(live: Live) -> None:
+    """Open at 12:02, and nothing known of it from 12:03 on, by another source too."""
+    http, clock = live
+    read(http, clock, t=1, s=1)
+    assert decided(http, clock, NOON)["switches_open"] == ["t"]
+    clock.set(NOON + pd.Timedelta("5min"))
+    at = {"asset": "s", "quantity": "closed", "resolution": "PT1M"}
+    for source, minute, value in (("rtu", 2, 0), ("rtu", 3, None), ("scada", 4, None)):
+        start = written(NOON + pd.Timedelta(minutes=minute))
+        body = {"series": [{**at, "source": source, "start": start, "values": [value]}]}
+        assert http.post("/v1/telemetry", body).status == 200
+    assert http.get("/v1/switching").json()["read"] == {"s": False, "t": True}
+    assert decided(http, clock, NOON + HOUR)["switches_open"] == ["s"]
+
+
+@pytest.mark.parametrize(
+    ("asset", "quantity", "value", "message", "cure"),
+    [
+        ("t", "closed", 2, "must be 0 or 1", "Give 1 if it is closed, else 0."),
+        ("grid", "grid_on", 0.5, "must be 0 or 1", "Give 1 if there is grid, else 0."),
+        ("t", "soc", 0.5, "has no soc", "Give an asset with soc. Known: big, small."),
+        ("big", "closed", 1, "has no closed", "Give an asset with closed. Known: t, s."),
+        ("x", "closed", 1, "is not at the site", "Give an asset with closed. Known: t, s."),
+    ],
+)
+def test_a_reading_that_is_refused_says_what_would_do(
+    live: Live, asset: str, quantity: str, value: float, message: str, cure: str
+) -> None:
+    one = {"source": "scada", "asset": asset, "quantity": quantity, "start": written(NOON),
+           "resolution": "PT1M", "values": [value]}  # fmt: skip
+    answer = live[0].post("/v1/telemetry", {"series": [one]})
+    [problem] = answer.json()["problems"]
+    assert (answer.status, problem["message"], problem["cure"]) == (422, message, cure)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Wholes
-from vppres.day.trajectory import APART, SWITCHES_OPEN, Trajectory
+from vppres.day.trajectory import SWITCHES_OPEN, Trajectory, of_a_row
 from vppres.scenario.configuration import Branches, in_configuration
 
 
@@ -17,7 +17,7 @@ def configurations_of(run: Trajectory) -> list[Flags] | None:
     if SWITCHES_OPEN not in run.steps:
         return None
     branches = Branches.of(run.scenario)
-    return [branches.closed_but(words.split(APART)) for words in run.steps[SWITCHES_OPEN]]
+    return [branches.closed_but(of_a_row(words)) for words in run.steps[SWITCHES_OPEN]]
 
 
 def run_in(run: Trajectory, closed: Flags) -> Trajectory:

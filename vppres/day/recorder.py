@@ -42,7 +42,7 @@ ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
 
 OFF_BY_FAULT = "off_by_fault"
-"""Column of the customers in days with faults: why the part of each is blacked out."""
+"""Column of the customers where lines may be out or open: why the part of each is blacked out."""
 
 OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES, OFF_BY_FAULT)
 

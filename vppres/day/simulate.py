@@ -29,7 +29,6 @@ from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import (
-    APART,
     LINES_OUT,
     SHARE,
     SWITCHED,
@@ -39,6 +38,7 @@ from vppres.day.trajectory import (
     SWITCHING_ORDER,
     SWITCHING_WHY,
     Trajectory,
+    in_a_row,
 )
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
@@ -328,7 +328,7 @@ class Day:
         of_switches = {
             SWITCHED: switched.moved,
             SWITCHING_ORDER: "\n".join(switched.order),
-            SWITCHES_OPEN: APART.join(branches.open_names(switched.closed)),
+            SWITCHES_OPEN: in_a_row(branches.open_names(switched.closed)),
             SWITCHING_AHEAD: switched.ahead,
             SWITCHING_GAIN: switched.gain,
             SWITCHING_WHY: switched.why + self._until(record.t, switched.until),
@@ -418,7 +418,7 @@ def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict
         columns[ROTATED] = decision.weight
     if scenario.customers.dimmable.any():
         columns[SHARE] = realised.served * realised.share
-    if scenario.faults:
+    if scenario.faults or decision.switched is not None:
         nothing = np.full(len(realised.served), "", dtype=object)
         columns[OFF_BY_FAULT] = nothing if done.off is None else done.off
     return columns

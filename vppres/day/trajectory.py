@@ -5,7 +5,8 @@ Values are realised ones unless a column's name says ``model``. Times are the be
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,6 +22,7 @@ from vppres.day.wide import Wide
 from vppres.kinds.fields import RunsOfKinds
 from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
+from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -46,9 +48,7 @@ SWITCHED = "switched"
 SWITCHING_ORDER = "switching_order"
 """With it: the operations one after another, each a sentence on a line of its own."""
 SWITCHES_OPEN = "switches_open"
-APART = ", "
-"""Between the names of open lines and ties."""
-"""With it: names of the lines and ties that are open."""
+"""With it: names of the lines and ties that are open, as :func:`in_a_row`."""
 SWITCHING_AHEAD = "switching_ahead"
 """With it: operations that the plan counts on, but that wait."""
 SWITCHING_GAIN = "switching_gain"
@@ -88,6 +88,26 @@ def taken(customers: pd.DataFrame) -> pd.Series[Any]:
 def time_on(customers: pd.DataFrame) -> pd.Series[Any]:
     """The share of each step's time in which each customer was on."""
     return customers[TIME_ON if TIME_ON in customers else "served"].astype(float)
+
+
+def in_a_row(names: Iterable[str]) -> str:
+    """Names as one text; those with a comma or a quotation mark are quoted.
+
+    >>> in_a_row(["3-4", "north, old"])
+    '3-4, "north, old"'
+    """
+    return ", ".join(
+        '"{}"'.format(name.replace('"', '""')) if set(name) & {",", '"'} else name for name in names
+    )
+
+
+def of_a_row(text: str) -> list[str]:
+    """The names of such a text.
+
+    >>> of_a_row('3-4, "north, old"'), of_a_row("")
+    (['3-4', 'north, old'], [])
+    """
+    return next(csv.reader([text], skipinitialspace=True), [])
 
 
 class Feeder(Protocol):
@@ -265,9 +285,20 @@ class Trajectory(RunsOfKinds):
                 str(self.options.get("mode", "paper")),
                 self.rows("buses", t)["v_ac_pu"].to_numpy(float),
                 self.forms(t),
+                self.carries(t),
             ),
             {kind: self._active(kind, t) for kind in units_of(day)},
         )
+
+    def carries(self, t: int) -> Flags:
+        """Lines and ties that carry in a step, (E,): closed and not out by a fault."""
+        branches = Branches.of(self.scenario)
+        closed = branches.closed
+        if SWITCHES_OPEN in self.steps:
+            closed = branches.closed_but(of_a_row(self.steps[SWITCHES_OPEN].iloc[t]))
+        out = self.scenario.out_of_service(range(t, t + 1))
+        carries: Flags = closed & ~out_of_branches(out, branches.ends)[0]
+        return carries
 
     def forms(self, t: int) -> dict[str, Flags]:
         """Units that formed the grid in a step, (n,), by kind; none where none can."""

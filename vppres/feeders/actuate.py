@@ -1,7 +1,8 @@
 """A step of a run, or the set-points of one, put into the pandapower net that the feeder came from.
 
-What the scenario took over is switched off in the net, and put back as the scenario has it; lines,
-transformers and shunts stay as they are. So a power flow of the net is that of the scenario.
+What the scenario took over is switched off in the net, and put back as the scenario has it; lines
+that are out or open are taken out of service, and ties that are closed are closed. All else stays
+as it is. So a power flow of the net is that of the scenario.
 """
 
 from __future__ import annotations
@@ -13,32 +14,67 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
+from vppres.feeders.net.marked import OPENED, PUT, mark, ours, put_branches_back, set_branches
 from vppres.kinds.table import KINDS
-from vppres.scenario.formers import bus_of_former, largest_forming_battery
-from vppres.scenario.network import BusId
+from vppres.scenario.configuration import Branches, forest
+from vppres.scenario.formers import bus_of_former, formers_within
+from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
-
-OURS = "vppres"
-"""Column of the net that marks what was put into it; with ``opened``, a grid that was opened."""
 
 REPLACED = ("load", "sgen", "gen", "storage", "motor", "asymmetric_load", "asymmetric_sgen")
 DEMAND = ("load", "motor", "asymmetric_load", "ward", "xward")
-_PUT, _OPENED = "put", "opened"
+
+
+def holder_of(
+    scenario: Scenario,
+    outage: bool,
+    mode: str,
+    forms: Mapping[str, Flags],
+    buses: Flags | None = None,
+) -> BusId:
+    """Bus whose voltage is held in a part of the feeder; the whole feeder if no part is given.
+
+    ``forms`` marks units that form the grid, by kind, ``buses`` those of the part, (N,).
+    """
+    net = scenario.network
+    inside = np.ones(net.n_buses, dtype=bool) if buses is None else buses
+    at: BusId | None
+    for kind, flags in forms.items():
+        own = flags & inside[_positions(net, getattr(scenario, kind).buses(scenario.customers))]
+        # What the unit gives of reactive power comes from what holds the voltage.
+        if (at := bus_of_former(scenario, {kind: own})) is not None:
+            return at
+    batteries = scenario.batteries
+    if inside[0] and not (outage and mode == "physical"):
+        return net.slack_bus
+    formers = formers_within(scenario, inside[_positions(net, batteries.bus)])
+    if formers.any():
+        # The island gets and gives nothing: any bus may hold the voltage that it has.
+        at = batteries.bus[np.argmax(np.where(formers, batteries.s_max_kva, -1.0))]
+    else:
+        at = net.buses[np.argmax(inside)]
+    return at
+
+
+def _positions(net: Network, buses: Names) -> Wholes:
+    """Positions of buses in the network."""
+    return np.array([net.bus_index[bus] for bus in buses], dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
 class Feeding:
-    """Supply of the feeder in a step, and power of its buses that no customer owns."""
+    """Supply of the feeder in a step: what holds the voltage, and which branches carry."""
 
-    bus: BusId | None  #: the bus whose voltage is held; None where the feeder is blacked out
-    v_pu: float  #: that voltage
-    #: Whether the grid holds it. In the paper's islands no device does: a source stands at the
-    #: grid's bus all the same, and gives their losses.
-    from_grid: bool
+    held: Mapping[BusId, float]  #: buses whose voltage is held, one in each part, and it in pu
+    #: Bus whose voltage the grid holds; None without grid. In the paper's islands no device does: a
+    #: source stands at the grid's bus all the same, and gives their losses.
+    grid_bus: BusId | None
     fixed: pd.DataFrame  #: ``bus``, ``p_kw`` and ``q_kvar`` of constant power
+    carries: Flags  #: which of the branches carry, (E,)
+    branches: Branches  #: lines and ties of the scenario
 
     @classmethod
     def of(
@@ -48,24 +84,21 @@ class Feeding:
         mode: str,
         v_ac_pu: Floats,
         forms: Mapping[str, Flags],
+        carries: Flags,
     ) -> Feeding:
-        """Asset that holds the voltage of a step.
+        """Devices that hold the voltages of a step, in which some branches carry, (E,).
 
         ``v_ac_pu`` (N,) is NaN in a blackout; ``forms`` marks units that form the grid, by kind.
         """
         net = scenario.network
-        b = scenario.batteries
-        by_unit, bus = bus_of_former(scenario, forms), net.slack_bus
-        former = largest_forming_battery(scenario)
-        if by_unit is not None:
-            # What the unit gives of reactive power comes from what holds the voltage.
-            bus = by_unit
-        elif outage and mode == "physical" and former is not None:
-            # The island gets and gives nothing: any bus may hold the voltage that it has.
-            bus = b.bus[former]
-        v_pu = float(v_ac_pu[net.bus_index[bus]])
-        dark = bool(np.isnan(v_pu))
-        draws = (net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0)
+        branches = Branches.of(scenario)
+        _, parts = forest(branches.ends, np.flatnonzero(carries), net.n_buses)
+        lit = np.isfinite(v_ac_pu)
+        held = {}
+        for number in np.unique(parts[lit]):
+            bus = holder_of(scenario, outage, mode, forms, parts == number)
+            held[bus] = float(v_ac_pu[net.bus_index[bus]])
+        draws = ((net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0)) & lit
         fixed = pd.DataFrame(
             {
                 "bus": net.buses[draws],
@@ -74,7 +107,8 @@ class Feeding:
             },
             index=[f"fixed at {name}" for name in net.buses[draws]],
         )
-        return cls(None if dark else bus, v_pu, not outage, fixed.iloc[:0] if dark else fixed)
+        grid_bus = net.slack_bus if not outage and lit[0] else None
+        return cls(held, grid_bus, fixed, carries, branches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +168,12 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> 
     problems = _unknown_buses(powers, bus_in_net) + _without_load(net, bus_of, powers.customers)
     if problems:
         raise InputError(problems)
+    feeding = powers.feeding
+    put_branches_back(net)
+    set_branches(net, bus_of, feeding.branches, feeding.carries)
     _switch_off(net, bus_of)
-    _feed(net, bus_of, bus_in_net, powers.feeding)
-    drawn = pd.concat([powers.drawn, powers.feeding.fixed])
+    _feed(net, bus_of, bus_in_net, feeding)
+    drawn = pd.concat([powers.drawn, feeding.fixed])
     # A storage counts consumption as positive, reactive power too.
     stored = powers.stored.assign(q_kvar=-powers.stored["q_kvar"])
     for table, rows in (("load", drawn), ("sgen", powers.fed), ("storage", stored)):
@@ -167,7 +204,7 @@ def _without_load(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame
         bus_of.get(int(bus))
         for table in DEMAND
         if table in net
-        for bus in net[table].loc[~_ours(net[table], _PUT), "bus"]
+        for bus in net[table].loc[~ours(net[table], PUT), "bus"]
     }
     return [
         Problem(
@@ -198,26 +235,23 @@ def _feed(
     bus_in_net: Mapping[BusId, int],
     feeding: Feeding,
 ) -> None:
-    """Close or open the grid, and put a source of its own where a battery holds the voltage."""
+    """Close or open the grid, and put a source of its own into each part that has no grid."""
     import pandapower as pp
 
     grids = net.ext_grid
-    grids.loc[_ours(grids, _PUT), "in_service"] = False
-    opened = _ours(grids, _OPENED)
+    grids.drop(grids.index[ours(grids, PUT)], inplace=True)
+    opened = ours(grids, OPENED)
     closed = grids["bus"].isin(bus_of) & grids["in_service"].astype(bool)
-    if feeding.from_grid:
-        at_slack = grids["bus"].map(bus_of) == feeding.bus
-        grids.loc[opened, "in_service"] = True
-        grids.loc[closed & ~at_slack, "in_service"] = False
-        grids.loc[(opened | closed) & at_slack, "vm_pu"] = feeding.v_pu
-        return
-    grids.loc[closed, "in_service"] = False
-    _mark(net, "ext_grid", grids.index[closed], _OPENED)
-    if feeding.bus is not None:
-        source = pp.create_ext_grid(
-            net, bus_in_net[feeding.bus], vm_pu=feeding.v_pu, name="holds the island"
-        )
-        _mark(net, "ext_grid", [source], _PUT)
+    at_grid = (grids["bus"].map(bus_of) == feeding.grid_bus) & (feeding.grid_bus is not None)
+    grids.loc[opened & at_grid, "in_service"] = True
+    grids.loc[closed & ~at_grid, "in_service"] = False
+    mark(net, "ext_grid", grids.index[closed & ~at_grid], OPENED)
+    for bus, v_pu in feeding.held.items():
+        if bus == feeding.grid_bus:
+            grids.loc[(opened | closed) & at_grid, "vm_pu"] = v_pu
+            continue
+        source = pp.create_ext_grid(net, bus_in_net[bus], vm_pu=v_pu, name="holds the island")
+        mark(net, "ext_grid", [source], PUT)
 
 
 def _write(net: Any, table: str, name: str, bus: int, p_kw: float, q_kvar: float) -> None:
@@ -226,7 +260,7 @@ def _write(net: Any, table: str, name: str, bus: int, p_kw: float, q_kvar: float
 
     p_mw = float(kw_to_mw(p_kw))
     q_mvar = float(kw_to_mw(q_kvar))
-    found = np.flatnonzero((net[table]["name"] == name) & _ours(net[table], _PUT))
+    found = np.flatnonzero((net[table]["name"] == name) & ours(net[table], PUT))
     if len(found):
         row = net[table].index[found[0]]
         net[table].loc[row, ["p_mw", "q_mvar"]] = p_mw, q_mvar
@@ -238,18 +272,4 @@ def _write(net: Any, table: str, name: str, bus: int, p_kw: float, q_kvar: float
         made = pp.create_sgen(net, bus, p_mw=p_mw, q_mvar=q_mvar, name=name, type="PV")
     else:
         made = pp.create_storage(net, bus, p_mw=p_mw, q_mvar=q_mvar, max_e_mwh=np.nan, name=name)
-    _mark(net, table, [made], _PUT)
-
-
-def _ours(table: pd.DataFrame, word: str) -> pd.Series[bool]:
-    """Rows that bear a mark of ours."""
-    if OURS not in table:
-        return pd.Series(False, table.index)
-    return table[OURS] == word
-
-
-def _mark(net: Any, table: str, rows: Any, word: str) -> None:
-    """Mark rows of a table as ours."""
-    if OURS not in net[table]:
-        net[table][OURS] = pd.Series("", net[table].index, dtype=object)
-    net[table].loc[rows, OURS] = word
+    mark(net, table, [made], PUT)

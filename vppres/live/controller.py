@@ -431,7 +431,7 @@ class Controller:
             foreseen,
             day.plant.switching,
             present.kinds,
-            day.branches.open_names(present.closed),
+            present.closed,
             Proposal.of(day.branches, decision.switched, record),
         )
         return points, present.after(day, record)

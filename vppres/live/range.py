@@ -52,8 +52,11 @@ LIMIT = Range(0.0, 1e9, NUMBER, CORRECT, UNIT, infinite=True)
 PRICE = Range(-MAX_PRICE, MAX_PRICE, FINITE, CORRECT, "is more than any price")
 # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
 EFFICIENCY = Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95.")
-ZERO_OR_ONE = "must be 0 or 1"
-FLAG = Range(0.0, 1.0, ZERO_OR_ONE, "Give 1 where it is there and can work, else 0.", whole=True)
+
+
+def flag(yes: str) -> Range:
+    """The range of a yes or no, whose 1 says so much."""
+    return Range(0.0, 1.0, "must be 0 or 1", f"Give 1 if {yes}, else 0.", whole=True)
 
 
 def rated(lowest_share: float, what: str, rating: float, no_number: str) -> Range:

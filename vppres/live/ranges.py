@@ -13,7 +13,6 @@ from vppres.live.range import (
     CORRECT,
     EFFICIENCY,
     FINITE,
-    FLAG,
     LIMIT,
     NUMBER,
     POWER,
@@ -21,6 +20,7 @@ from vppres.live.range import (
     RATED_SHARE,
     UNIT,
     Range,
+    flag,
     rated,
 )
 from vppres.scenario.scenario import Scenario
@@ -54,9 +54,9 @@ RANGES: Mapping[str, Range] = {
     "source_kva": POWER,
     "v_pu": Range(0.0, 2.0, "must lie between 0 and 2", "Give a share of the nominal voltage."),
     "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, FINITE, CORRECT, UNIT),
-    "online": FLAG,
-    "grid_on": FLAG,
-    "closed": FLAG,
+    "online": flag("it is there and can work"),
+    "grid_on": flag("there is grid"),
+    "closed": flag("it is closed"),
     **{name: each for part in parts("live").values() for name, each in part.RANGES.items()},
     **{name: series_range(name) for name in SERIES},
 }

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Flags
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import lower_tiers_now
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, StepRecord
@@ -21,6 +22,7 @@ from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
 from vppres.live.proposal import Proposal
+from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
 
@@ -82,7 +84,7 @@ class SetPoints(SetPointsOfKinds):
         lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
         for which what they take would do for a part of the step.
     feeding : Feeding
-        What holds the voltage: the grid, a battery, or nothing.
+        What holds the voltages, and which lines and ties carry.
     foreseen : Foreseen
         What the plan that it is taken from foresees for the steps after it.
     chargers : DataFrame or None
@@ -130,7 +132,7 @@ class SetPoints(SetPointsOfKinds):
         foreseen: Foreseen,
         after: SwitchingState | None = None,
         kinds: Mapping[str, UnitsNow] | None = None,
-        switches_open: tuple[str, ...] = (),
+        closed: Flags | None = None,
         proposal: Proposal | None = None,
     ) -> SetPoints:
         """The set-points of a step that was decided.
@@ -147,11 +149,14 @@ class SetPoints(SetPointsOfKinds):
             Who is off and for how long after the step.
         kinds : mapping, optional
             Units as the step found them, by kind.
-        switches_open : tuple of str, optional
-            Lines and ties that are open.
+        closed : array of bool, optional
+            Lines and ties that are closed, (E,); those of the scenario if not given.
         proposal : Proposal, optional
             Switches to move.
         """
+        branches = Branches.of(scenario)
+        closed = branches.closed if closed is None else closed
+        out = scenario.out_of_service(range(1))
         off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
             time=scenario.grid.times[step.t],
@@ -167,11 +172,12 @@ class SetPoints(SetPointsOfKinds):
                 str(step.steps["mode"]),
                 np.asarray(step.buses["v_ac_pu"], dtype=float),
                 {kind: row[FORMS] for kind, row in step.kinds.items() if FORMS in row},
+                closed & ~out_of_branches(out, branches.ends)[0],
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
-            lines_out=tuple(scenario.out_of_service(range(1)).names(scenario.network, 0)),
-            switches_open=switches_open,
+            lines_out=tuple(out.names(scenario.network, 0)),
+            switches_open=branches.open_names(closed),
             proposal=proposal or Proposal(),
             **_of_kinds(scenario, step, kinds or {}),
         )
@@ -183,9 +189,9 @@ class SetPoints(SetPointsOfKinds):
         loads with their measured demand (0 if they are off), PV systems static generators,
         batteries storages, named by their identifiers, chargers storages, as "charger k1", machines
         that cool or heat loads, as "machine h1", and generating sets static generators, as
-        "set g1", all marked in a column ``vppres``. In an outage the grid is opened; where
-        batteries hold the island, a source at the bus of the largest holds its voltage and gives
-        nothing.
+        "set g1", all marked in a column ``vppres``. Lines that are open or out are taken out of
+        service, closed ties are closed. In an outage the grid is opened; where batteries hold an
+        island or a part, a source at the bus of the largest holds its voltage and gives nothing.
 
         Parameters
         ----------

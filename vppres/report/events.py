@@ -75,14 +75,17 @@ def _fault_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         return
     # Where switches move, a repaired line may stay open until a plan closes it.
     again = "repaired" if SWITCHED in run.steps else "in service again"
-    out = [each.split(" and ") if each else [] for each in run.steps[LINES_OUT]]
+    steps = range(len(run.steps))
+    found = run.scenario.out_of_service(steps)
+    out = [found.names(run.scenario.network, t) for t in steps]
     for t, (before, now) in enumerate(pairwise([[], *out, []])):
         for names, words in (
             ([n for n in now if n not in before], "out of service"),
             ([n for n in before if n not in now], again),
         ):
             if names and t < len(out):
-                yield t, f"{named(names, NAMES_SHOWN).capitalize()} {words}."
+                listed = named(names, NAMES_SHOWN)
+                yield t, f"{listed[:1].upper()}{listed[1:]} {words}."
 
 
 def _switching_events(run: Trajectory) -> Iterator[tuple[int, str]]:

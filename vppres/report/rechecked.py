@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,17 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.core.errors import InputError
 from vppres.core.plain import json_safe
+from vppres.core.text import counted
 from vppres.day.trajectory import Trajectory
-from vppres.feeders.actuate import Feeding
-from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck, recheck_opendss
+from vppres.feeders.actuate import holder_of
+from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck, Tables, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.report.plots.chart import Chart, Curve, Curves, Limit
 from vppres.report.plots.drawing import BLACK, RUN_STYLES, Style
 from vppres.report.plots.figures import save_chart
+from vppres.scenario.configuration import Branches
 from vppres.scenario.formers import island_former, largest_forming_battery, named_units
 
 DECIMALS = 6
@@ -27,21 +31,45 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     """Solve the steps of a finished run on the circuit of an OpenDSS script.
 
     See :func:`vppres.feeders.dss.recheck.recheck_opendss`; in an island of physical mode the
-    largest battery that forms it holds the voltage, or without any a generating set.
+    largest battery that forms it holds the voltage, or without any a generating set. Steps in which
+    lines are out, or switches stand otherwise than in the script, are left out.
     """
+    tables, left_out = _as_imported(run)
+    found = _rechecked(run, tables, source)
+    return replace(found, notes=(*found.notes, left_out)) if left_out else found
+
+
+def _as_imported(run: Trajectory) -> tuple[Tables, str]:
+    """Tables of the steps in which all lines and no ties carry, and a note on the others."""
+    steps = range(len(run.steps))
+    closed = Branches.of(run.scenario).closed
+    same = np.array([np.array_equal(run.carries(t), closed) for t in steps], dtype=bool)
+    if same.all():
+        return run.tables, ""
+    what = "in which lines are out or switches stand otherwise than in the script"
+    if not same.any():
+        cure = "Recheck a run without faults in which switches do not move."
+        raise InputError.of("run", f"has only steps {what}", cure)
+    times = run.steps["time"][same]
+    tables = {name: table[table["time"].isin(times)] for name, table in run.tables.items()}
+    return tables, f"Not compared: {counted(int((~same).sum()), 'step')} {what}."
+
+
+def _rechecked(run: Trajectory, tables: Tables, source: Path) -> Recheck:
+    """Some steps of a run on the circuit of a script."""
     mode = str(run.options.get("mode", "paper"))
     network = run.scenario.network
     phases = run.scenario.phases
     if phases:
         from vppres.feeders.dss.phased_recheck import recheck_phased
 
-        return recheck_phased(run.tables, phases, source, island_former(run.scenario))
+        return recheck_phased(tables, phases, source, island_former(run.scenario))
     no_battery = largest_forming_battery(run.scenario) is None
     forms = named_units(run.scenario) if no_battery else {}
-    holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
+    holder = holder_of(run.scenario, True, mode, forms)
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder
-    return recheck_opendss(run.tables, source, held, opened)
+    return recheck_opendss(tables, source, held, opened)
 
 
 def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, Any]:
@@ -97,7 +125,7 @@ def voltages_per_phase(run: Trajectory, found: Recheck) -> Chart:
     plan = _by_step(run, found.voltages, "v_plan_pu")
     curves.append(Curve("plan", plan, Style(BLACK, "2 3", 1.5)))
     limit = Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} pu, AC limit", dash="")
-    largest = 1000.0 * found.steps["difference_max_pu"].to_numpy(float)
+    largest = 1000.0 * _by_step(run, found.steps, "difference_max_pu")
     apart = Curve("largest difference", largest, Style(BLACK, "", 1.5), in_legend=False)
     return Chart(
         "voltages_per_phase",

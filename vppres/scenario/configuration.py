@@ -111,10 +111,17 @@ class Branches:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names: those of the switches, or both buses."""
-        ids = self.switches.id
-        pairs = zip(self.switch, self.from_bus, self.to_bus, strict=True)
-        return tuple(f"{a}-{b}" if i < 0 else str(ids[i]) for i, a, b in pairs)
+        """Names: those of the switches, or both buses; each names one branch alone."""
+        ids = [str(name) for name in self.switches.id]
+        taken, found = {*ids}, []
+        for i, a, b in zip(self.switch, self.from_bus, self.to_bus, strict=True):
+            name = f"{a}-{b}" if i < 0 else ids[i]
+            # A tie beside a line is often called as the line would be.
+            while i < 0 and name in taken:
+                name = f"line {name}"
+            taken.add(name)
+            found.append(name)
+        return tuple(found)
 
     def movable(self, open_now: Flags, out: OutOfService) -> Flags:
         """Branches that may change their state in a window.

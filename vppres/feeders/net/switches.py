@@ -55,6 +55,7 @@ class _Found(NamedTuple):
     locked: str
     z_ohm: complex | None = None
     i_max_a: float = np.inf
+    element: tuple[str, Any] | None = None  #: of an open one, its table and row of the net
 
 
 def switches_of(net: Any, joined: NetCase, ids: Mapping[int, BusId], network: Network) -> Switches:
@@ -100,6 +101,15 @@ def switches_of(net: Any, joined: NetCase, ids: Mapping[int, BusId], network: Ne
     )
 
 
+def open_elements(
+    net: Any, base_kv: float
+) -> Iterator[tuple[tuple[str, Any], tuple[int, int], complex]]:
+    """Open branches and switches that could be ties: table and row, buses of the net, impedance."""
+    for found in (*_open_branches(net, base_kv), *_open_bus_switches(net)):
+        assert found.element is not None and found.z_ohm is not None  # an open one has both
+        yield found.element, found.buses, found.z_ohm
+
+
 def told_open_transformers(net: Any, joined: NetCase) -> Iterator[str]:
     """Sentence on open transformers that are no switches, as these have no ratio."""
     names = [
@@ -121,9 +131,9 @@ def _open_branches(net: Any, base_kv: float) -> Iterator[_Found]:
             start, end = (int(row[side]) for side in ENDS[table])
             rating_a = float(kva_to_a(float(mw_to_kw(rating_mva(net, table, i))), base_kv))
             own = _of(net, table, i)
-            yield _Found(
-                _name(row) or _one_name(own), (start, end), *_breaker_and_lock(own), z_ohm, rating_a
-            )
+            name = _name(row) or _one_name(own)
+            of_net = (table, i)
+            yield _Found(name, (start, end), *_breaker_and_lock(own), z_ohm, rating_a, of_net)
 
 
 def _off(net: Any, table: str) -> pd.Series[bool]:
@@ -167,9 +177,8 @@ def _open_bus_switches(net: Any) -> Iterator[_Found]:
     between = net.switch[(net.switch["et"] == "b") & ~net.switch["closed"].astype(bool)]
     for i, switch in between.iterrows():
         buses = int(switch["bus"]), int(switch["element"])
-        yield _Found(
-            _name(switch), buses, *_breaker_and_lock(between.loc[[i]]), complex(MIN_OHM, 0.0)
-        )
+        own = _breaker_and_lock(between.loc[[i]])
+        yield _Found(_name(switch), buses, *own, complex(MIN_OHM, 0.0), element=("switch", i))
 
 
 def _on_lines(net: Any, joined: NetCase) -> Iterator[_Found]:

@@ -20,14 +20,13 @@ from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.live.range import (
-    FLAG,
     NUMBER,
     POWER,
     POWER_KW,
     RATED_SHARE,
-    ZERO_OR_ONE,
     Range,
     above_rating,
+    flag,
     rated,
     slack_kw,
 )
@@ -37,15 +36,13 @@ if TYPE_CHECKING:
     from vppres.live.door import Door
 
 RANGES = {
-    "running": FLAG,
+    "running": flag("it runs"),
     "genset_kw": POWER,
     "genset_ordered_kw": POWER,
     "fuel_litres": Range(
         0.0, 1e7, NUMBER, "Give what is in the tank, in l.", "is more than any tank: check the unit"
     ),
-    "start_fault": Range(
-        0.0, 1.0, ZERO_OR_ONE, "Give 1 if it failed to start, else 0.", whole=True
-    ),
+    "start_fault": flag("it failed to start"),
 }
 """Plausible ranges of sets' readings, and of another sender's orders to them."""
 

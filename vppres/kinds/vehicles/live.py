@@ -16,7 +16,7 @@ from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
 from vppres.kinds.vehicles.physics import Garage, Plugged
 from vppres.kinds.vehicles.record import SHORT_KWH
-from vppres.live.range import FLAG, POWER, Range, above_rating
+from vppres.live.range import POWER, Range, above_rating, flag
 from vppres.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 RANGES = {
-    "plugged": FLAG,
+    "plugged": flag("a vehicle is plugged in"),
     "ev_soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "energy_needed_kwh": POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),

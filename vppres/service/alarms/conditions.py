@@ -18,7 +18,7 @@ from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
 from vppres.service.events.announced import announced_at
-from vppres.service.events.faults import behind_faults
+from vppres.service.events.faults import behind_faults, behind_open
 from vppres.service.of_kind import every
 from vppres.service.plans.document import DARK, PROPOSED, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
@@ -263,7 +263,7 @@ def _grid_lost(now: Situation) -> Iterator[Condition]:
 
 
 def _off_with_grid(now: Situation) -> Iterator[Condition]:
-    """Customers are off although there is grid, and they could be switched on."""
+    """Customers are off although there is grid, and they or a switch could be switched on."""
     plan = now.plan
     if not plan or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
         return
@@ -273,14 +273,21 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     off = sorted(now.off - set(now.failing) - cut_off)
     if not off:
         return
-    words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
-    limit_kw = expected_by(plan).get("grid_limit_kw")
-    if limit_kw is not None:
-        words += f" of at most {limit_kw:g} kW"
-    if plan["status"] in BY_HAND:
-        words += f", by the operator's mode {plan['status']}"
+    apart = sorted(behind_open(plan, now.scenario).intersection(off))
+    fed = sorted({*off} - {*apart})
+    words = []
+    if fed:
+        words.append(f"{named(fed, NAMES_SHOWN)} off supply, and there is grid")
+        limit_kw = expected_by(plan).get("grid_limit_kw")
+        if limit_kw is not None:
+            words[-1] += f" of at most {limit_kw:g} kW"
+        if plan["status"] in BY_HAND:
+            words[-1] += f", by the operator's mode {plan['status']}"
+    if apart:
+        why = now.blacked_out(apart) or "too little power or energy behind open switches"
+        words.append(f"{named(apart, NAMES_SHOWN)} off supply: {why}")
     priority = HIGH if now.critical.intersection(off) else MEDIUM
-    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
+    yield Condition("off_with_grid", "", priority, f"{'; '.join(words)}.", tuple(off))
 
 
 def _lines_out(now: Situation) -> Iterator[Condition]:

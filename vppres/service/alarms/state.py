@@ -58,7 +58,9 @@ KINDS = {
         0.0, 0.0, "Ask the network operator how long it will last, and record it as an event."
     ),
     "off_with_grid": AlarmKind(
-        0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
+        0.0,
+        0.0,
+        "Look at the reason. If the mode, a limit of import or an open switch is yours, change it.",
     ),
     "line_out": AlarmKind(
         0.0, 0.0, "Put its event again when the expected end changes, and when it is repaired."

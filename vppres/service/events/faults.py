@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
-from vppres.scenario.configuration import Branches, in_configuration, out_of_branches
+from vppres.scenario.configuration import Branches, forest, in_configuration, out_of_branches
 from vppres.scenario.faults import LineFault, OutOfService, parts_by_bus
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
@@ -44,9 +44,22 @@ def check_fault(said: payloads.Event, scenario: Scenario) -> None:
         cure = "Put an event outage, or give another bus."
         raise InputError.of("event", "is the bus of the grid", cure, field=field, value=name)
     if name not in known:
-        message, otherwise = "is not a bus of the feeder", "Give the bus that the line feeds."
-        cure = did_you_mean(name, known, otherwise)
+        message = "is not a bus of the feeder"
+        cure = _by_its_line(name, Branches.of(scenario)) if field == "line" else ""
+        cure = cure or did_you_mean(name, known, "Give the bus that the line feeds.")
         raise InputError.of("event", message, cure, field=field, value=name)
+
+
+def _by_its_line(name: str, branches: Branches) -> str:
+    """How a line is given that is called by both of its buses, or by its switch; empty for none."""
+    network = branches.network
+    ends = zip(network.from_bus, network.to_bus, strict=True)
+    for line, (a, b) in enumerate(ends):
+        if name.removeprefix("line ") in (f"{a}-{b}", f"{b}-{a}", branches.names[line]):
+            return f"Give {network.to_bus[line]}: a line is named by the bus that it feeds."
+    if name in branches.names:
+        return "Send closed, 0, of it as telemetry: a tie has no fault of its own."
+    return ""
 
 
 def faults_at(
@@ -115,6 +128,16 @@ def behind_faults(
         lines = day.lines[out_of_branches(own, branches.ends)[0]]
         found.append((one, {*names[np.isin(parts, lines[lines >= 0] + 1)].tolist()}))
     return found
+
+
+def behind_open(plan: Mapping[str, Any], scenario: Scenario) -> set[str]:
+    """Customers that open switches of a plan cut off the grid."""
+    branches = Branches.of(scenario)
+    net = scenario.network
+    closed = np.flatnonzero(closed_by(plan, branches))
+    _, block = forest(branches.ends, closed, net.n_buses)
+    at = np.array([net.bus_index[bus] for bus in scenario.customers.bus], dtype=int)
+    return {str(name) for name in scenario.customers.id[block[at] != 0]}
 
 
 def _of_plan(

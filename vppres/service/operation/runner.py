@@ -49,6 +49,7 @@ from vppres.service.plans.document import (
     ordered,
     ordered_plan,
     plan_of,
+    points_at,
     tables_of,
     told_at,
 )
@@ -310,8 +311,21 @@ class Runner:
         step = self._measured(now, found.is_dark)
         seen = self._carried_out(given.get("issued"), until)
         closed, proposed = closed_by(self.last, self.branches), self.last.get(PROPOSED, {})
-        has_grid, soc = not found.is_dark, found.known_soc
-        return Switchgear(step, read, closed, proposed, soc, given, seen, has_grid, now)
+        has_grid = not found.is_dark
+        return Switchgear(
+            step=step,
+            read=read,
+            of_plan=closed,
+            proposed=proposed,
+            soc=found.known_soc,
+            asked=given,
+            carried_out=seen,
+            set_points=points_at(self.last, now),
+            has_grid=has_grid,
+            source=has_grid or found.formers is None,
+            is_lit=not found.why_dark,
+            now=now,
+        )
 
     def _carried_out(self, issued: Mapping[str, Any] | None, until: pd.Timestamp) -> bool:
         """Whether an operation was seen in a reading after it was confirmed."""

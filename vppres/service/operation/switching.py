@@ -6,19 +6,20 @@ The order is made anew from the readings at every look, so that a restart change
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
+    Formers,
     Operation,
     SwitchedFeeder,
     SwitchingOrder,
@@ -26,6 +27,7 @@ from vppres.feeders.reconfiguration.sequence import (
 )
 from vppres.feeders.reconfiguration.sources import KEEPS_PHASES, of_the_day
 from vppres.io.messages import did_you_mean
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 
@@ -34,8 +36,6 @@ SWITCHING = "switching"
 
 GRACE = pd.Timedelta(minutes=5)
 """Time that telemetry has beyond the minutes that an operation takes."""
-
-NO_GRID = "The grid is lost, and an order of operations is made for a feeder with the grid alone."
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,14 @@ class Switchgear:
         The setting: ``closed`` by switch, and the operation that is ``issued``; may be empty.
     carried_out : bool
         Whether the operation that is issued was seen in a reading since.
+    set_points : sequence of mapping
+        Set-points of all devices now.
     has_grid : bool
-        Whether there is grid.
+        Whether there is grid: without it devices give and take what their set-points say.
+    source : bool
+        Whether the grid's bus has a source: the grid, or in paper mode's islands one of its own.
+    is_lit : bool
+        Whether devices that can form the grid of an island do.
     now : pandas.Timestamp
         The moment.
     """
@@ -71,7 +77,10 @@ class Switchgear:
     soc: Floats
     asked: Mapping[str, Any]
     carried_out: bool
+    set_points: Sequence[Mapping[str, Any]]
     has_grid: bool
+    source: bool
+    is_lit: bool
     now: pd.Timestamp
 
     @cached_property
@@ -80,7 +89,13 @@ class Switchgear:
         limits = ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu)
         given = of_the_day(self.step, 0, self.soc)
         injection = injection_at(self.step, 0)
-        return SwitchedFeeder(net, self.step.switches, *injection, limits, **given)
+        if not self.has_grid:
+            injection = injection_told(self.step, self.set_points)
+            formers = given["formers"] if self.is_lit else Formers.none()
+            given["formers"] = _as_told(formers, self.set_points)
+        return SwitchedFeeder(
+            net, self.step.switches, *injection, limits, grid=self.source, **given
+        )
 
     @cached_property
     def _wanted(self) -> dict[str, bool]:
@@ -134,7 +149,7 @@ class Switchgear:
         """Why no operation may be carried out; empty if one may."""
         if not self._wanted:
             return ""
-        return self.order.reason if self.has_grid else NO_GRID
+        return self.order.reason
 
     @property
     def next(self) -> Operation | None:
@@ -213,6 +228,47 @@ class Switchgear:
             "proposed": self.proposed or None,
             "unlike_plans": [name for name, state in self.read.items() if state != of_plan[name]],
         }
+
+
+def injection_told(
+    step: Scenario, set_points: Sequence[Mapping[str, Any]]
+) -> tuple[Floats, Floats]:
+    """Net injection of every bus by set-points in kW and kvar, (N,) each.
+
+    Customers that are on draw what is measured; PV systems give no more than there is.
+    """
+    net, c, pv = step.network, step.customers, step.pv
+    told = {(one["kind"], one["asset"]): one for one in set_points}
+
+    def values(kind: str, ids: Names, field: str, otherwise: float) -> Floats:
+        found = (told.get((kind, str(name)), {}).get(field) for name in ids)
+        return np.array([otherwise if one is None else one for one in found], dtype=float)
+
+    on = values("customers", c.id, "served", 1.0) * values("customers", c.id, "share", 1.0)
+    p_kw = -net.place(c.bus) @ (on * step.load_kw[0])
+    q_kvar = -net.place(c.bus) @ (on * step.load_kvar[0])
+    at_pv, at_batteries = net.place(pv.buses(c)), net.place(step.batteries.bus)
+    p_kw += at_pv @ np.minimum(values("pv", pv.id, "p_kw", np.inf), step.pv_kw[0])
+    q_kvar += at_pv @ values("pv", pv.id, "q_kvar", 0.0)
+    p_kw -= at_batteries @ values("batteries", step.batteries.id, "p_kw", 0.0)
+    q_kvar += at_batteries @ values("batteries", step.batteries.id, "q_kvar", 0.0)
+    for kind in units_of(step):
+        units = getattr(step, kind)
+        given_kw = net.place(units.buses(c)) @ values(kind, units.id, "p_kw", 0.0)
+        p_kw += given_kw if KINDS[kind].gives else -given_kw
+    return p_kw, q_kvar
+
+
+def _as_told(formers: Formers, set_points: Sequence[Mapping[str, Any]]) -> Formers:
+    """Devices that can hold an island, with what their set-points say that they give."""
+    sign = {"batteries": -1.0} | {kind: 1.0 for kind, one in KINDS.items() if one.gives}
+    told = {one["asset"]: one for one in set_points if one["kind"] in sign}
+    p_kw, q_kvar = np.zeros(len(formers)), np.zeros(len(formers))
+    for row, name in enumerate(formers.id):
+        if one := told.get(str(name)):
+            p_kw[row] = sign[one["kind"]] * one["p_kw"]
+            q_kvar[row] = one.get("q_kvar") or 0.0
+    return replace(formers, p_kw=p_kw, q_kvar=q_kvar)
 
 
 def _state(issued: Mapping[str, Any]) -> str:

@@ -29,8 +29,8 @@ REFUSED = (REJECTED, "aborted")
 """What devices say that did not follow their set-points."""
 
 
-def last_readings(until: int, quantities: Iterable[str]) -> Any:
-    """The last readings of each asset and quantity up to a time."""
+def last_readings(until: int, quantities: Iterable[str], known: bool = False) -> Any:
+    """The last readings of each asset and quantity up to a time; of those ``known``, if asked."""
     named = HEARD_OF
     t = TELEMETRY.c
     earlier = TELEMETRY.alias("earlier")
@@ -40,10 +40,13 @@ def last_readings(until: int, quantities: Iterable[str]) -> Any:
             earlier.c.asset == named.c.asset,
             earlier.c.quantity == named.c.quantity,
             earlier.c.time <= until,
+            *((earlier.c.value.is_not(None),) if known else ()),
         )
         .scalar_subquery()
     )
     same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
+    if known:
+        same = sa.and_(same, t.value.is_not(None))
     chosen = sa.select(TELEMETRY).select_from(named.join(TELEMETRY, same))
     chosen = chosen.where(named.c.quantity.in_(list(quantities)))
     return chosen.order_by(t.asset, t.quantity, t.source.desc())

@@ -155,10 +155,15 @@ class Store:
         """Whether there ever was a reading."""
         return (asset, quantity) in self._items
 
-    def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
-        """The last reading of each asset and quantity up to a time, that time included."""
+    def latest(
+        self, until: pd.Timestamp, quantities: Iterable[str], known: bool = False
+    ) -> list[Reading]:
+        """The last reading of each asset and quantity up to a time, that time included.
+
+        Missing values are passed over if only ``known`` ones are asked for.
+        """
         # Of two sources that speak at once the first by name counts.
-        found = self._readings(last_readings(seconds(until), quantities))
+        found = self._readings(last_readings(seconds(until), quantities, known))
         return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(

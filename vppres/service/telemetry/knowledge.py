@@ -149,7 +149,7 @@ def readings_of(
     good: list[Reading] = []
     refused: list[Refusal] = []
     for one in batch:
-        wrong = _wrong_series(one, assets[one.quantity], scenario, until)
+        wrong = _wrong_series(one, assets, scenario, until)
         if wrong:
             refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
             continue
@@ -176,12 +176,15 @@ def readings_of(
 
 
 def _wrong_series(
-    one: Readings, known: list[str], scenario: Scenario, until: pd.Timestamp
+    one: Readings, assets: Mapping[str, list[str]], scenario: Scenario, until: pd.Timestamp
 ) -> Problem | None:
     """Errors of a series as a whole."""
+    known = assets[one.quantity]
     if one.asset not in known:
-        cure = did_you_mean(one.asset, known, "Give an asset of the site.")
-        return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
+        there = any(one.asset in names for names in assets.values())
+        message = f"has no {one.quantity}" if there else "is not at the site"
+        cure = did_you_mean(one.asset, known, f"Give an asset with {one.quantity}.")
+        return Problem(WHERE, message, cure, None, "asset", one.asset)
     wrong = wrong_phase(one, scenario)
     last = one.start + (len(one.values) - 1) * one.resolution
     if not wrong and last >= until:
@@ -333,11 +336,14 @@ def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, fl
 
 
 def states_of(scenario: Scenario, store: Store, time: pd.Timestamp) -> dict[str, bool]:
-    """Whether switches are closed, by the last reading of each."""
+    """Whether switches are closed, by the last reading of each that is not missing.
+
+    A switch does not move because nothing is heard of it.
+    """
     names = {str(name) for name in scenario.switches.id}
     until = time + EARLY_SHARE * scenario.grid.step
-    latest = store.latest(until, [CLOSED]) if names else []
-    return {one.asset: one.value == 1.0 for one in latest if one.asset in names and one.known}
+    latest = store.latest(until, [CLOSED], known=True) if names else []
+    return {one.asset: one.value == 1.0 for one in latest if one.asset in names}
 
 
 def soc_now(

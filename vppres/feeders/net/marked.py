@@ -1,0 +1,162 @@
+"""Changes of a pandapower net that can be taken back: rows that are ours, and states of branches.
+
+A column ``vppres`` of the net marks what was put into it, and what was opened or closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.net.switches import ENDS, TABLE_OF, open_elements
+from vppres.scenario.configuration import Branches
+from vppres.scenario.network import BusId
+
+OURS = "vppres"
+"""Column of the net that marks what was put into it; with ``opened``, a grid that was opened."""
+
+PUT, OPENED, CLOSED = "put", "opened", "closed"
+
+STATE = {**dict.fromkeys(ENDS, "in_service"), "switch": "closed"}
+"""Tables of what may carry or not, and the column that says so."""
+
+Change = tuple[str, Any, bool]
+"""Table, row and new state of a branch or switch."""
+
+
+def ours(table: pd.DataFrame, word: str) -> pd.Series[bool]:
+    """Rows that bear a mark of ours."""
+    if OURS not in table:
+        return pd.Series(False, table.index)
+    return table[OURS] == word
+
+
+def mark(net: Any, table: str, rows: Any, word: str) -> None:
+    """Mark rows of a table as ours."""
+    if OURS not in net[table]:
+        net[table][OURS] = pd.Series("", net[table].index, dtype=object)
+    net[table].loc[rows, OURS] = word
+
+
+def put_branches_back(net: Any) -> None:
+    """Give branches and switches the states that they had before :func:`set_branches`."""
+    for table, column in STATE.items():
+        for word, before in ((OPENED, True), (CLOSED, False)):
+            if (rows := ours(net[table], word)).any():
+                net[table].loc[rows, column] = before
+                net[table].loc[rows, OURS] = ""
+
+
+def set_branches(net: Any, bus_of: Mapping[int, BusId], branches: Branches, carries: Flags) -> None:
+    """Open the lines of a net that carry nothing, and close the ties that carry.
+
+    Parameters
+    ----------
+    net : pandapowerNet
+        The net, with its branches as they were for the import.
+    bus_of : mapping
+        Bus of the scenario for every supplied bus of the net.
+    branches : Branches
+        Lines and ties of the scenario.
+    carries : array of bool, shape (E,)
+        Which of them carry.
+
+    Raises
+    ------
+    InputError
+        For each that the net does not have; nothing is changed then.
+    """
+    changes: list[Change] = []
+    problems = []
+    pairs = [frozenset(ends) for ends in zip(branches.from_bus, branches.to_bus, strict=True)]
+    tie = ~branches.closed
+    free = [*_open_between(net, bus_of, branches.network.base_kv)] if carries[tie].any() else []
+    for branch in np.flatnonzero(carries == tie):
+        if tie[branch]:
+            found = _closed(net, pairs[branch], _z_ohm(branches, int(branch)), free)
+        else:
+            found = _opened(net, bus_of, pairs[branch])
+        if not found:
+            problems.append(_problem(bool(tie[branch]), branches.names[branch]))
+        changes += found
+    if problems:
+        raise InputError(problems)
+    for table, row, is_closed in changes:
+        net[table].loc[row, STATE[table]] = is_closed
+        mark(net, table, [row], CLOSED if is_closed else OPENED)
+
+
+def _problem(is_tie: bool, name: str) -> Problem:
+    """A branch that is not in the net."""
+    return Problem(
+        "set-points",
+        f"is {'closed' if is_tie else 'open or out'}, and the net has no such branch",
+        "Give the net that the scenario was made from; switch a winding of a transformer with "
+        "three by hand.",
+        field="switch" if is_tie else "line",
+        value=name,
+    )
+
+
+def _opened(net: Any, bus_of: Mapping[int, BusId], pair: frozenset[BusId]) -> list[Change]:
+    """Changes that take all of a net between two buses out of service."""
+    found: list[Change] = []
+    for table, sides in ENDS.items():
+        rows = net[table][net[table]["in_service"].astype(bool)]
+        found += [
+            (table, i, False)
+            for i, *ends in rows[[*sides]].itertuples(name=None)
+            if _pair(bus_of, ends) == pair
+        ]
+    between = net.switch[(net.switch["et"] == "b") & net.switch["closed"].astype(bool)]
+    found += [
+        ("switch", i, False)
+        for i, *ends in between[["bus", "element"]].itertuples(name=None)
+        if _pair(bus_of, ends) == pair
+    ]
+    return found
+
+
+_Free = tuple[tuple[str, Any], frozenset[BusId], complex]
+
+
+def _open_between(net: Any, bus_of: Mapping[int, BusId], base_kv: float) -> Iterator[_Free]:
+    """Open elements of a net: table and row, the scenario's buses, impedance."""
+    for element, ends, z_ohm in open_elements(net, base_kv):
+        pair = _pair(bus_of, ends)
+        if len(pair) == 2:
+            yield element, pair, z_ohm
+
+
+def _closed(net: Any, pair: frozenset[BusId], z_ohm: complex, free: list[_Free]) -> list[Change]:
+    """Changes that close a tie: of several between its buses the one that is most like it."""
+    fitting = [one for one in free if one[1] == pair]
+    if not fitting:
+        return []
+    best = min(fitting, key=lambda one: abs(one[2] - z_ohm))
+    free.remove(best)
+    (table, row), *_ = best
+    if table == "switch":
+        return [("switch", row, True)]
+    words = [word for word, of in TABLE_OF.items() if of == table]
+    switches = net.switch[net.switch["et"].isin(words) & (net.switch["element"] == row)]
+    still_open = switches.index[~switches["closed"].astype(bool)]
+    found: list[Change] = [("switch", i, True) for i in still_open]
+    if not net[table].loc[row, "in_service"]:
+        found.append((table, row, True))
+    return found
+
+
+def _pair(bus_of: Mapping[int, BusId], ends: Any) -> frozenset[BusId]:
+    """Both buses of the scenario; fewer where an end is none, or both are one."""
+    return frozenset(bus_of[int(end)] for end in ends if int(end) in bus_of)
+
+
+def _z_ohm(branches: Branches, branch: int) -> complex:
+    tie = branch - branches.network.n_lines
+    return complex(branches.ties.r_ohm[tie], branches.ties.x_ohm[tie])
