@@ -47,7 +47,7 @@ def mark(net: Any, table: str, rows: Any, word: str) -> None:
 
 
 def put_back(net: Any) -> None:
-    """Give branches, switches and shunts the states that they had before an earlier step changed them."""
+    """Give branches, switches and shunts their states before an earlier step changed them."""
     for table, column in STATE.items():
         for word, before in ((OPENED, True), (CLOSED, False)):
             if (rows := ours(net[table], word)).any():
