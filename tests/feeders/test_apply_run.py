@@ -200,3 +200,19 @@ def ringed_net() -> Any:
     for bus in buses[1:]:
         pp.create_load(net, bus, p_mw=0.3, q_mvar=0.1)
     return net
+
+
+def test_capacitors_that_an_island_cannot_hold_are_off_there() -> None:
+    """Line 1 joins the grid: what is behind it is an island while its switch is open."""
+    net = pandapower.networks.example_simple()
+    feeder = vppres.import_network(net)
+    options = vppres.NewScenarioOptions(step_minutes=120.0, add_batteries=True)
+    day = vppres.new_scenario(feeder, options)
+    controller = vppres.Controller.of(day, vppres.RunOptions("idle", mode="physical"))
+    for t, is_closed in enumerate((True, False, True)):
+        soc = dict.fromkeys(day.batteries.id, 0.5)
+        read = vppres.Measurement(controller.times[t], soc, closed={"Line 1": is_closed})
+        told = controller.step(read)
+        told.apply_to(net, feeder)
+        assert net.shunt["in_service"].tolist() == [is_closed]
+        voltages_agree(net, feeder, day.network, told.buses["v_ac_pu"])

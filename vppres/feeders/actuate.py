@@ -1,8 +1,9 @@
 """A step of a run, or the set-points of one, put into the pandapower net that the feeder came from.
 
 What the scenario took over is switched off in the net, and put back as the scenario has it; lines
-that are out or open are taken out of service, and ties that are closed are closed. All else stays
-as it is. So a power flow of the net is that of the scenario.
+that are out or open are taken out of service, ties that are closed are closed, and capacitors that
+islands cannot hold are switched off there. All else stays as it is. So a power flow of the net is
+that of the scenario.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
-from vppres.feeders.net.marked import OPENED, PUT, mark, ours, put_branches_back, set_branches
+from vppres.feeders.net.marked import (
+    OPENED,
+    PUT,
+    mark,
+    ours,
+    put_back,
+    set_branches,
+    switch_off_shunts,
+)
 from vppres.kinds.table import KINDS
 from vppres.scenario.configuration import Branches, forest
 from vppres.scenario.formers import bus_of_former, formers_within
@@ -73,6 +82,7 @@ class Feeding:
     #: source stands at the grid's bus all the same, and gives their losses.
     grid_bus: BusId | None
     fixed: pd.DataFrame  #: ``bus``, ``p_kw`` and ``q_kvar`` of constant power
+    without_shunts: frozenset[BusId]  #: buses in islands whose shunts are switched off there
     carries: Flags  #: which of the branches carry, (E,)
     branches: Branches  #: lines and ties of the scenario
 
@@ -108,7 +118,9 @@ class Feeding:
             index=[f"fixed at {name}" for name in net.buses[draws]],
         )
         grid_bus = net.slack_bus if not outage and lit[0] else None
-        return cls(held, grid_bus, fixed, carries, branches)
+        of_grid = (parts == 0) & (not outage)
+        off = frozenset(net.buses[~of_grid & ~net.island].tolist())
+        return cls(held, grid_bus, fixed, off, carries, branches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +181,9 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> 
     if problems:
         raise InputError(problems)
     feeding = powers.feeding
-    put_branches_back(net)
+    put_back(net)
     set_branches(net, bus_of, feeding.branches, feeding.carries)
+    switch_off_shunts(net, bus_of, feeding.without_shunts)
     _switch_off(net, bus_of)
     _feed(net, bus_of, bus_in_net, feeding)
     drawn = pd.concat([powers.drawn, feeding.fixed])

@@ -5,7 +5,7 @@ A column ``vppres`` of the net marks what was put into it, and what was opened o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,12 @@ from vppres.scenario.network import BusId
 OURS = "vppres"
 """Column of the net that marks what was put into it; with ``opened``, a grid that was opened."""
 
+SHUNTS = ("shunt", "ward")
+"""Tables of constant admittances."""
+
 PUT, OPENED, CLOSED = "put", "opened", "closed"
 
-STATE = {**dict.fromkeys(ENDS, "in_service"), "switch": "closed"}
+STATE = {**dict.fromkeys((*ENDS, *SHUNTS), "in_service"), "switch": "closed"}
 """Tables of what may carry or not, and the column that says so."""
 
 Change = tuple[str, Any, bool]
@@ -43,8 +46,8 @@ def mark(net: Any, table: str, rows: Any, word: str) -> None:
     net[table].loc[rows, OURS] = word
 
 
-def put_branches_back(net: Any) -> None:
-    """Give branches and switches the states that they had before :func:`set_branches`."""
+def put_back(net: Any) -> None:
+    """Give branches, switches and shunts their states before an earlier step changed them."""
     for table, column in STATE.items():
         for word, before in ((OPENED, True), (CLOSED, False)):
             if (rows := ours(net[table], word)).any():
@@ -89,6 +92,35 @@ def set_branches(net: Any, bus_of: Mapping[int, BusId], branches: Branches, carr
     for table, row, is_closed in changes:
         net[table].loc[row, STATE[table]] = is_closed
         mark(net, table, [row], CLOSED if is_closed else OPENED)
+
+
+def switch_off_shunts(net: Any, bus_of: Mapping[int, BusId], buses: Collection[BusId]) -> None:
+    """Take the shunts at some buses of the scenario out of service, and branches open at an end."""
+    if not buses:
+        return
+    for table in SHUNTS:
+        rows = net[table][net[table]["in_service"].astype(bool)]
+        _switch_off(net, table, rows.index[rows["bus"].map(bus_of).isin(buses)])
+    for table, sides in ENDS.items():
+        rows = net[table][net[table]["in_service"].astype(bool)]
+        there = rows[[*sides]].isin(bus_of)
+        at = rows[[*sides]].isin([bus for bus, own in bus_of.items() if own in buses])
+        is_open = _with_open_switch(net, table, rows.index) | ~there.all(axis=1)
+        _switch_off(net, table, rows.index[is_open & at.any(axis=1)])
+
+
+def _switch_off(net: Any, table: str, rows: Any) -> None:
+    if len(rows):
+        net[table].loc[rows, STATE[table]] = False
+        mark(net, table, rows, OPENED)
+
+
+def _with_open_switch(net: Any, table: str, rows: Any) -> Flags:
+    """Which rows of a table of branches have a switch of their own that is open."""
+    words = [word for word, of in TABLE_OF.items() if of == table]
+    switches = net.switch[net.switch["et"].isin(words) & ~net.switch["closed"].astype(bool)]
+    found: Flags = rows.isin(switches["element"])
+    return found
 
 
 def _problem(is_tie: bool, name: str) -> Problem:
