@@ -173,6 +173,22 @@ def test_words_name_the_fault(tiny: Scenario) -> None:
     assert (4, "Line 2-4 in service again.") in events
 
 
+def test_a_part_beside_the_grid_is_explained_as_an_island(tiny: Scenario) -> None:
+    """The price, export and voltage of the part with the grid are none of its own."""
+    run = explain_day(run_day(with_fault(tiny, line=4), replace(PAPER, mode="physical")))
+    told = run.explanations
+    assert told is not None
+    during = told[told["time"].isin(run.steps["time"][2:4])]
+    steps = during[during["item"] == "step"]
+    assert set(steps["driver"]) == {"fault"}
+    assert steps["words"].str.endswith("Lines that are out or open cut off the others.").all()
+    small = during[during["id"] == "small"]
+    assert set(small["words"]) == {"Charges: PV exceeds the supplied demand."}
+    field = during[during["action"] == "curtail"]
+    why = "more in the batteries has no use in the plan"
+    assert field["words"].iloc[0] == f"Curtailed: PV exceeds the supplied demand, {why}."
+
+
 def test_events_have_the_names_of_buses_as_they_are(tiny: Scenario) -> None:
     """Capitals stay, and a name with "and" in it is one name."""
     names = {bus: f"Mill and Son {bus}" for bus in (1, 2, 3, 4)}

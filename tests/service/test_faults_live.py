@@ -87,6 +87,15 @@ def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
     assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
 
 
+def test_a_fault_later_in_the_step_is_told_as_to_come(one_former: Scenario, tmp_path: Path) -> None:
+    """At noon the step is planned without the line that is switched off at ten past."""
+    with running(one_former, tmp_path) as (http, clock, _):
+        http.put("/v1/events/feeder-b", FAULT)
+        assert set(off(decided(http, clock, NOON))) == {"homes"}
+        words = "Line 2-4 will be out of service from 12:10 until 14:00; homes off supply: "
+        assert alarms(http)["line_out"]["text"].startswith(words)
+
+
 def test_an_island_that_has_too_little_is_no_want_of_grid(tiny: Scenario, tmp_path: Path) -> None:
     """The battery of the homes forms their part, and gives less than they take."""
     b = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])

@@ -295,7 +295,11 @@ def _lines_out(now: Situation) -> Iterator[Condition]:
     for one, behind in now.behind_faults:
         cut = sorted(now.off & behind)
         name, end = one["name"], one["end"]
-        words = f"{name[0].upper()}{name[1:]} is out of service"
+        begins = pd.Timestamp(one["start"])
+        when = "is out of service"
+        if begins > now.now:  # the whole step is planned without it
+            when = f"will be out of service from {now.clock(begins)}"
+        words = f"{name[0].upper()}{name[1:]} {when}"
         words += f" until {now.clock(end)}" if end else ", and its end is not known"
         if cut:
             why = now.blacked_out(cut) or "too little power or energy behind it"
