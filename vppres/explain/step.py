@@ -262,7 +262,7 @@ class Step:
         In weighted customer hours. The active power at the slack bus is priced by what limits the
         fleet, each battery counting with its rated power; what the price at the customer's bus has
         on top is due to ratings of lines and to voltage; reactive power at the slack bus is due to
-        inverters. Of customers in other parts than that of the slack bus none is told.
+        inverters. Customers in other parts than that of the slack bus have no such cost.
         """
         if self.service is None:
             return dict.fromkeys(get_args(Scarce), np.zeros(len(self.site.customers)))
