@@ -87,6 +87,23 @@ def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
     assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
 
 
+@pytest.mark.parametrize("mode", ["hold", "off", "manual"])
+def test_a_fault_that_a_mode_does_not_plan_for_is_urgent(live: Running, mode: str) -> None:
+    """Everybody is ordered on, as before the fault: nobody knows whether that holds."""
+    http, clock, runner = live
+    on = {"kind": "customers", "asset": "homes", "served": True}
+    until = "2026-11-21T15:00:00Z"
+    body = {"mode": mode, "reason": "test", "until": until}
+    assert http.put("/v1/mode", body | {"setpoints": [on] * (mode == "manual")}).status == 200
+    http.put("/v1/events/feeder", {**FAULT, "line": "2"})
+    clock.set(SOON + pd.Timedelta("1min"))
+    assert (runner.anew() or {})["status"] == mode
+    alarm = alarms(http)["line_out"]
+    behind = f"homes, hospital, shop behind it, whose supply is not planned in the mode {mode}."
+    words = f"Line 1-2 is out of service until 14:00; {behind}"
+    assert (alarm["text"], alarm["priority"]) == (words, "high")
+
+
 def test_a_fault_later_in_the_step_is_told_as_to_come(one_former: Scenario, tmp_path: Path) -> None:
     """At noon the step is planned without the line that is switched off at ten past."""
     with running(one_former, tmp_path) as (http, clock, _):
