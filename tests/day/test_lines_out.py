@@ -11,6 +11,7 @@ import pytest
 
 from experiments.studies.phased_feeders import in_phases
 from tests.support.faulted import faulted_day
+from tests.support.sets import gensets
 from tests.support.three_phases import three_phases
 from vppres import RunOptions, run_day
 from vppres.day.faults import FaultPlan, SolverOutage
@@ -171,6 +172,36 @@ def test_words_name_the_fault(tiny: Scenario) -> None:
     events = [(event.t, event.words) for event in events_of(run)]
     assert (2, "Line 2-4 out of service.") in events
     assert (4, "Line 2-4 in service again.") in events
+
+
+def test_each_part_has_a_set_that_forms_its_grid(tiny: Scenario) -> None:
+    """Lines 1-2 and 2-4 are out: one set behind each, no battery that could."""
+    sets = gensets(2, bus=[2, 4], p_min_kw=0.0, grid_forming=True)
+    empty = replace(tiny.batteries, soc_initial=tiny.batteries.soc_min, grid_forming=[False] * 2)
+    day = with_fault(replace(tiny, gensets=sets, batteries=empty), line=4)
+    [fault] = day.faults
+    run = run_day(replace(day, faults=(fault, replace(fault, line=2))), PHYSICAL)
+    assert run.gensets is not None
+    forms = run.gensets.pivot(index="time", columns="genset", values="forms").to_numpy(bool)
+    assert forms.tolist() == [[2 <= t < 4] * 2 for t in range(6)]
+    lit = run.buses.pivot(index="time", columns="bus", values="v_ac_pu").notna()
+    assert lit.to_numpy().all()
+
+
+def test_a_part_beside_the_grid_is_explained_as_an_island(tiny: Scenario) -> None:
+    """The price, export and voltage of the part with the grid are none of its own."""
+    run = explain_day(run_day(with_fault(tiny, line=4), replace(PAPER, mode="physical")))
+    told = run.explanations
+    assert told is not None
+    during = told[told["time"].isin(run.steps["time"][2:4])]
+    steps = during[during["item"] == "step"]
+    assert set(steps["driver"]) == {"fault"}
+    assert steps["words"].str.endswith("Lines that are out or open cut off the others.").all()
+    small = during[during["id"] == "small"]
+    assert set(small["words"]) == {"Charges: PV exceeds the supplied demand."}
+    field = during[during["action"] == "curtail"]
+    why = "more in the batteries has no use in the plan"
+    assert field["words"].iloc[0] == f"Curtailed: PV exceeds the supplied demand, {why}."
 
 
 def test_events_have_the_names_of_buses_as_they_are(tiny: Scenario) -> None:

@@ -46,8 +46,11 @@ def test_steps_that_do_not_fill_a_day() -> None:
     )
 
 
-def test_times_on_the_clock_of_such_a_day() -> None:
-    start = local_midnight("2025-03-30", LONDON)
+@pytest.mark.parametrize(
+    "start", [local_midnight("2025-03-30", LONDON), pd.Timestamp("2025-03-30", tz=LONDON)]
+)
+def test_times_on_the_clock_of_such_a_day(start: pd.Timestamp) -> None:
+    """By a zone of the standard library, and by the one that pandas makes of a name."""
     first, last = parse_outage("12:00..24:00", start)
     assert first == pd.Timestamp("2025-03-30T11:00Z")  # 12:00 British Summer Time
     assert last == pd.Timestamp("2025-03-30T23:00Z")

@@ -87,6 +87,32 @@ def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
     assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
 
 
+@pytest.mark.parametrize("mode", ["hold", "off", "manual"])
+def test_a_fault_that_a_mode_does_not_plan_for_is_urgent(live: Running, mode: str) -> None:
+    """Everybody is ordered on, as before the fault: nobody knows whether that holds."""
+    http, clock, runner = live
+    on = {"kind": "customers", "asset": "homes", "served": True}
+    until = "2026-11-21T15:00:00Z"
+    body = {"mode": mode, "reason": "test", "until": until}
+    assert http.put("/v1/mode", body | {"setpoints": [on] * (mode == "manual")}).status == 200
+    http.put("/v1/events/feeder", {**FAULT, "line": "2"})
+    clock.set(SOON + pd.Timedelta("1min"))
+    assert (runner.anew() or {})["status"] == mode
+    alarm = alarms(http)["line_out"]
+    behind = f"homes, hospital, shop behind it, whose supply is not planned in the mode {mode}."
+    words = f"Line 1-2 is out of service until 14:00; {behind}"
+    assert (alarm["text"], alarm["priority"]) == (words, "high")
+
+
+def test_a_fault_later_in_the_step_is_told_as_to_come(one_former: Scenario, tmp_path: Path) -> None:
+    """At noon the step is planned without the line that is switched off at ten past."""
+    with running(one_former, tmp_path) as (http, clock, _):
+        http.put("/v1/events/feeder-b", FAULT)
+        assert set(off(decided(http, clock, NOON))) == {"homes"}
+        words = "Line 2-4 will be out of service from 12:10 until 14:00; homes off supply: "
+        assert alarms(http)["line_out"]["text"].startswith(words)
+
+
 def test_an_island_that_has_too_little_is_no_want_of_grid(tiny: Scenario, tmp_path: Path) -> None:
     """The battery of the homes forms their part, and gives less than they take."""
     b = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])

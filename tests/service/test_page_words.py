@@ -330,6 +330,12 @@ def test_a_fault_is_named_with_its_end(tiny: Scenario, tmp_path: Path) -> None:
         http.put("/v1/events/work", {"type": "fault", "bus": "3", **later})
         runner.anew()
         page = told(http, tmp_path)
+        soon = {"type": "fault", "line": "4", "start": "2026-11-21T12:40:00Z"}
+        http.put("/v1/events/cable", soon)
+        clock.set(NOON + pd.Timedelta("11min"))
+        runner.anew()
+        to_come = "Line 2-4 will be out of service from 12:40, end unknown."
+        assert to_come in told(http, tmp_path)["verdict"][2]
     out = "Line 2-4 is out of service, end unknown."
     work = "Bus 3 will be out of service from 16:00 to 17:00."
     level, words, after = page["verdict"]

@@ -470,6 +470,15 @@ def test_a_customer_behind_open_switches_is_off_for_them(tmp_path: Path) -> None
         assert alarm["text"] == f"shop off supply: {why}."
         [shop] = http.get("/v1/explanations").json()["reasons"]
         assert shop["words"] == f"Not supplied: {why}."
+        on = {"kind": "customers", "asset": "shop", "served": True}
+        until = written(NOON + HOUR)
+        asked = {"mode": "manual", "reason": "test", "until": until, "setpoints": [on]}
+        assert http.put("/v1/mode", asked).json()["found"] == ["Not supplied all the same: shop."]
+        runner.clock.set(NOON + pd.Timedelta("1min"))
+        runner.anew()
+        [alarm] = standing(http, "off_with_grid")
+        words = "shop behind open switches, whose supply is not planned in the mode manual."
+        assert alarm["text"] == words
 
 
 def test_a_switch_does_not_move_because_its_reading_is_missing(live: Live) -> None:

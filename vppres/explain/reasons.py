@@ -31,6 +31,7 @@ from vppres.explain.words import (
 )
 from vppres.kinds.export import reasons as export
 from vppres.model.phases import phased_model
+from vppres.scenario.network import BusId
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
@@ -268,7 +269,7 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
             f"{verb}: balances {figure(abs(mismatch))} kW of losses and forecast error as a "
             "grid-forming battery.",
         )
-    if step.outage:
+    if step.outage or step.recorded.behind(step.t, step.scenario.batteries.bus[battery]):
         in_island = _charge_in_island if power > 0 else _discharge_in_island
         return in_island(step, battery)
     return _move_with_grid(step, battery, verb)
@@ -426,13 +427,26 @@ def why_curtailed(step: Step, system: int) -> Reason:
         return Reason("rating", "rating", words)
     if limited := export.at_limit(step):
         return limited
-    full = len(step.site.batteries) > 0 and bool(
-        (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all()
-    )
-    where: Binding = "energy" if full else "power"
-    rest = "the batteries are full" if full else "the batteries cannot charge more in this step"
-    why = f"{pv.word} exceeds the supplied demand, {rest}, and {export.surplus_words(step)}"
+    where, rest = _no_more_stored(step, bus)
+    sold = f", and {export.surplus_words(step)}"
+    if step.recorded.behind(step.t, bus):
+        sold = ""  # the grid takes nothing of a part
+    why = f"{pv.word} exceeds the supplied demand, {rest}{sold}"
     return Reason("surplus", where, f"Curtailed: {why}.")
+
+
+def _no_more_stored(step: Step, bus: BusId) -> tuple[Binding, str]:
+    """Why the batteries beside a bus take no more, and the limit that binds; empty for none."""
+    there = step.recorded.beside(step.t, bus) & ~step.recorded.left_out(step.t)
+    if not there.any():
+        return "power", "there is no battery to charge"
+    full = step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3
+    at_limit = full | step.limits.at_power | step.limits.at_inverter
+    if full[there].all():
+        return "energy", "the batteries are full"
+    if at_limit[there].all():
+        return "power", "the batteries cannot charge more in this step"
+    return "", "more in the batteries has no use in the plan"
 
 
 def overruled(step: Step, what: str) -> Reason | None:

@@ -217,6 +217,18 @@ class Recorded:
         number = int(self._parts[t, self.scenario.network.bus_index[bus]])
         return self.scenario.behind(number, t) if number else ""
 
+    def cut_off(self, t: int) -> Flags:
+        """Customers that lines which are out or open cut off the grid's bus in a step, (C,)."""
+        index = self.scenario.network.bus_index
+        at = [index[each] for each in self.scenario.customers.bus]
+        return np.asarray(self._parts[t, at] != 0, dtype=bool)
+
+    def beside(self, t: int, bus: BusId) -> Flags:
+        """Batteries in the same part of the feeder as a bus in a step, (B,)."""
+        index = self.scenario.network.bus_index
+        at = [index[each] for each in self.scenario.batteries.bus]
+        return np.asarray(self._parts[t, at] == self._parts[t, index[bus]], dtype=bool)
+
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
         return batteries_out(self.note(t, "estimated"), self.site.batteries.id)

@@ -262,7 +262,7 @@ class Step:
         In weighted customer hours. The active power at the slack bus is priced by what limits the
         fleet, each battery counting with its rated power; what the price at the customer's bus has
         on top is due to ratings of lines and to voltage; reactive power at the slack bus is due to
-        inverters.
+        inverters. Customers in other parts than that of the slack bus have no such cost.
         """
         if self.service is None:
             return dict.fromkeys(get_args(Scarce), np.zeros(len(self.site.customers)))
@@ -282,7 +282,7 @@ class Step:
             rated = np.maximum(of_ratings, 0.0).sum(axis=0)
             of_nodes = self._cost_by(p.phases.by_voltage, p.phases.by_voltage_kvar)
             nodes = np.maximum(of_nodes, 0.0)
-        return {
+        costs: dict[Scarce, Floats] = {
             "energy": share["energy"] * system,
             "power": share["power"] * system,
             "inverter": inverter,
@@ -291,6 +291,9 @@ class Step:
             "phase": np.maximum(self.phase_cost.sum(axis=0), 0.0),
             "voltage": np.maximum(beyond - rating, 0.0) + nodes,
         }
+        # Prices of another part do not differ from the slack bus by voltage.
+        inside = ~self.recorded.cut_off(self.t)
+        return {name: values * inside for name, values in costs.items()}
 
     @cached_property
     def phase_cost(self) -> Floats:

@@ -46,6 +46,10 @@ def _main_reason(step: Step) -> Reason:
             f"{_headline(step)} Binding limit: {scarce_name(step, scarce).removeprefix('the ')}"
             f"{f'; {offer}' if offer else ''}.",
         )
+    off = ~step.served
+    if off.any() and step.recorded.cut_off(step.t)[off].all():
+        words = f"{_headline(step)} Lines that are out or open cut off the others."
+        return Reason("fault", "", words)
     driver: Driver = "preparation" if step.phase == "preparation" else "price"
     driver = "supply" if step.phase == "island" else driver
     return Reason(driver, scarce, f"{_headline(step)} {_worth_words(step)}".rstrip())

@@ -30,7 +30,7 @@ def powers_of(realised: Realised) -> Powers:
         realised.share,
         realised.taken_kw,
         realised.running,
-        realised.forming,
+        next(iter(realised.forming), None),
     )
 
 

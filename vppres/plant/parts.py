@@ -200,7 +200,7 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
         **changed,
         share=np.where(inside.customers, *shares),
         clipped_kw=max(own.clipped_kw, so_far.clipped_kw),
-        forming=so_far.forming or own.forming,
+        forming=tuple(dict.fromkeys((*so_far.forming, *own.forming))),
     )
 
 

@@ -98,7 +98,8 @@ class Realised:
     share: Floats | float = 1.0
     taken_kw: Mapping[str, Floats] = field(default_factory=dict)
     running: Mapping[str, Flags] = field(default_factory=dict)
-    forming: SetForms | None = None
+    #: Generating sets that form the grids of islands: one at most in each part of the feeder.
+    forming: tuple[SetForms, ...] = ()
 
     @property
     def flexible_kw(self) -> float:
@@ -279,7 +280,7 @@ class Plant:
                 kind: np.asarray(powers.running.get(kind, np.zeros(len(each_kw), dtype=bool)))
                 for kind, each_kw in taken_kw.items()
             },
-            powers.forming,
+            () if powers.forming is None else (powers.forming,),
         )
 
     def connected_kw(self, taken_kw: Mapping[str, Floats], served: Flags) -> dict[str, Floats]:

@@ -86,7 +86,9 @@ def grid_from(start: pd.Timestamp, days: int, step_minutes: float, zone: str) ->
 def time_of_day(start: pd.Timestamp, hours: int, minutes: int) -> pd.Timestamp:
     """A time on the clock of the day on which ``start`` is; 24:00 is the next midnight."""
     clock = start.tz_localize(None).normalize() + timedelta(hours=hours, minutes=minutes)
-    zone = start.tzinfo
+    # A zone of pytz has the offset of the start alone.
+    name = getattr(start.tzinfo, "zone", None)
+    zone = start.tzinfo if name is None else ZoneInfo(name)
     naive: datetime = clock.to_pydatetime()
     early = naive.replace(tzinfo=zone, fold=0)
     late = naive.replace(tzinfo=zone, fold=1)

@@ -38,13 +38,13 @@ def record(day: Scenario, engines: Engines, t: int, realised: Realised) -> dict[
 
 
 def _forming(sets: Gensets, realised: Realised) -> dict[str, Any]:
-    """Which set formed the grid, and its reactive power; nothing where none can."""
+    """Which sets formed grids of islands, and their reactive power; nothing where none can."""
     if not sets.grid_forming.any():
         return {}
     forms, q_kvar = np.zeros(len(sets), dtype=bool), np.zeros(len(sets))
-    if realised.forming is not None:
-        forms[realised.forming.genset] = True
-        q_kvar[realised.forming.genset] = realised.forming.q_kvar
+    for one in realised.forming:
+        forms[one.genset] = True
+        q_kvar[one.genset] = one.q_kvar
     return {FORMS: forms, "q_kvar": q_kvar}
 
 

@@ -46,6 +46,9 @@ NAMES_SHOWN = 5
 BY_HAND = ("hold", "manual")
 """Modes in which an operator decides."""
 
+UNPLANNED = (*BY_HAND, "off")
+"""Modes without a plan of the controller."""
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -270,10 +273,12 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: not known
     cut_off = {name for _, behind in now.behind_faults for name in behind}
+    behind = behind_open(plan, now.scenario) - cut_off
     off = sorted(now.off - set(now.failing) - cut_off)
-    if not off:
+    ordered_on = sorted(behind - now.off) if plan["status"] in UNPLANNED else []
+    if not off and not ordered_on:
         return
-    apart = sorted(behind_open(plan, now.scenario).intersection(off))
+    apart = sorted(behind.intersection(off))
     fed = sorted({*off} - {*apart})
     words = []
     if fed:
@@ -286,18 +291,34 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if apart:
         why = now.blacked_out(apart) or "too little power or energy behind open switches"
         words.append(f"{named(apart, NAMES_SHOWN)} off supply: {why}")
-    priority = HIGH if now.critical.intersection(off) else MEDIUM
-    yield Condition("off_with_grid", "", priority, f"{'; '.join(words)}.", tuple(off))
+    if ordered_on:
+        words.append(_not_planned(ordered_on, "open switches", plan))
+    told = (*off, *ordered_on)
+    priority = HIGH if now.critical.intersection(told) else MEDIUM
+    yield Condition("off_with_grid", "", priority, f"{'; '.join(words)}.", told)
+
+
+def _not_planned(customers: Sequence[str], what: str, plan: Mapping[str, Any]) -> str:
+    """Customers behind something that an operator's mode orders on, with a grid or without."""
+    names = named(customers, NAMES_SHOWN)
+    return f"{names} behind {what}, whose supply is not planned in the mode {plan['status']}"
 
 
 def _lines_out(now: Situation) -> Iterator[Condition]:
     """Lines and buses that are out of service, and the customers behind that are off."""
     for one, behind in now.behind_faults:
-        cut = sorted(now.off & behind)
+        unplanned = now.plan["status"] in UNPLANNED
+        cut = sorted(behind if unplanned else now.off & behind)
         name, end = one["name"], one["end"]
-        words = f"{name[0].upper()}{name[1:]} is out of service"
+        begins = pd.Timestamp(one["start"])
+        when = "is out of service"
+        if begins > now.now:  # the whole step is planned without it
+            when = f"will be out of service from {now.clock(begins)}"
+        words = f"{name[0].upper()}{name[1:]} {when}"
         words += f" until {now.clock(end)}" if end else ", and its end is not known"
-        if cut:
+        if unplanned and cut:
+            words += f"; {_not_planned(cut, 'it', now.plan)}"
+        elif cut:
             why = now.blacked_out(cut) or "too little power or energy behind it"
             words += f"; {named(cut, NAMES_SHOWN)} off supply: {why}"
         priority = HIGH if now.critical.intersection(cut) else MEDIUM

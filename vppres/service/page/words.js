@@ -223,7 +223,8 @@ function states(closed) {
 function outOfService(view, at) {
   const faults = (view.overview.plan?.faults ?? []).filter((one) => !one.end || new Date(one.end) > view.now);
   const ends = (one, word) => (one.end ? ` ${word} ${at(one.end)}` : ", end unknown");
-  return faults.map((one) => (one.out ? `${capital(one.name)} is out of service${ends(one, "until")}.`
+  const begun = (one) => one.out && new Date(one.start) <= view.now;
+  return faults.map((one) => (begun(one) ? `${capital(one.name)} is out of service${ends(one, "until")}.`
     : `${capital(one.name)} will be out of service from ${at(one.start)}${ends(one, "to")}.`)).join(" ");
 }
 
