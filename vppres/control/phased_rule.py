@@ -9,6 +9,7 @@ phase that it does not relieve, and a power flow by phase says of every set whet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -38,14 +39,14 @@ REST_PU = 1e-3
 other phases and magnetising currents move it by."""
 
 
-def served_by_phase(state: StepState, order: Wholes) -> Carried:
-    """Customers in an order, each if all phases carry it beside those before.
+def served_by_phase(state: StepState, blocks: Sequence[Wholes]) -> Carried:
+    """Customers block by block, each if all phases carry it beside those before.
 
     Parameters
     ----------
     state : StepState
         A step without grid, of a site with phases.
-    order : array of int, shape (C,)
+    blocks : sequence of array of int
         Positions of customers, the most important first.
     """
     nobody = np.zeros(len(state.site.customers), dtype=bool)
@@ -57,7 +58,7 @@ def served_by_phase(state: StepState, order: Wholes) -> Carried:
             dispatch_of(state, nobody, (pv, pv, pv), battery, battery, 0.0, {}), 0.0, 0.0
         )
     # Customers that are carried together are carried one by one: most of them take no flow each.
-    return former.dispatch(with_more(nobody, best, [order], former.carried))
+    return former.dispatch(with_more(nobody, best, blocks, former.carried))
 
 
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
