@@ -591,7 +591,7 @@ def test_the_rule_serves_the_largest_worth_of_a_first_tier_that_power_suffices_f
     state = StepState.of(Site.of(island), observation, "lossless")
     state = replace(state, pv_kw=0.0 * state.pv_kw, load_kw=np.zeros(len(names)))
     former_kw = state.discharge_max_kw[full.formers].sum()
-    state.load_kw[[large, small]] = 0.7 * former_kw, 0.5 * former_kw
+    state.load_kw[[large, small]] = 0.8 * former_kw, 0.4 * former_kw
     served = rule_dispatch(state, list(island.tiers)).dispatch.served[0]
     assert served[[large, small]].tolist() == [True, False]
 

@@ -61,6 +61,18 @@ def served_by_phase(state: StepState, blocks: Sequence[Wholes]) -> Carried:
     return former.dispatch(with_more(nobody, best, blocks, former.carried))
 
 
+def capacity_by_phase_kw(state: StepState) -> float:
+    """Demand that the former of an island, and what is behind customers' meters, may carry."""
+    former = Former.of(state)
+    if former is None:
+        return 0.0
+    everyone = np.ones(len(state.site.customers), dtype=bool)
+    own = state.own_kw(everyone)
+    given_kw, _ = former.behind_meters(everyone, own)
+    taken_kw = sum(kw.sum() for kind, kw in state.taken_kw.items() if kind not in state.formers)
+    return former.most_kw + float(own.sum() + given_kw.sum() - taken_kw)
+
+
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     """Whether a power flow by phase carries a dispatch of one step, its former's own part apart."""
     former = Former.of(state)
@@ -174,7 +186,7 @@ class Former:
         """
         state, batteries = self.state, self.state.site.batteries
         own = state.own_kw(served)
-        given_kw, wanted_kvar = self._behind_meters(served, own)
+        given_kw, wanted_kvar = self.behind_meters(served, own)
         taken_kvar = np.zeros(len(batteries)) if before is None else before.taken_kvar
         found: PhasedResult | None = None
         for _ in range(MOST_FLOWS):
@@ -221,7 +233,7 @@ class Former:
             taken += in_proportion(kvar, np.where((coils == phase) & self.others, room_kvar, 0.0))
         return taken
 
-    def _behind_meters(self, served: Flags, own: Floats) -> Floats:
+    def behind_meters(self, served: Flags, own: Floats) -> Floats:
         """Power that other batteries give to what is served on their own coils, (2, B)."""
         state, site = self.state, self.state.site
         load_kw = state.load_kw * served

@@ -22,7 +22,7 @@ from vppres.control.carried import (
     in_proportion,
     with_more,
 )
-from vppres.control.phased_rule import served_by_phase
+from vppres.control.phased_rule import capacity_by_phase_kw, served_by_phase
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.solve.fleet.relaxation import weight_grid
@@ -47,8 +47,8 @@ def rule_dispatch(
         Wanted charging power, negative to discharge; given up where service needs it.
     """
     customers = state.site.customers
-    blocks = blocks_of_service(state, tiers)
     if state.island and state.site.phases:
+        blocks = blocks_of_service(state, tiers, capacity_by_phase_kw(state))
         return served_by_phase(state, blocks)
     idle = np.zeros(len(state.site.batteries))
     everyone = np.ones(len(customers), dtype=bool)
@@ -66,17 +66,17 @@ def rule_dispatch(
 
     alone = carry(state, nobody, idle)
     assert alone is not None  # nothing has to be carried
-    return with_more(nobody, alone, blocks, beside)
+    return with_more(nobody, alone, blocks_of_service(state, tiers, state.capacity_kw), beside)
 
 
-def blocks_of_service(state: StepState, tiers: Sequence[str]) -> list[Wholes]:
+def blocks_of_service(state: StepState, tiers: Sequence[str], capacity_kw: float) -> list[Wholes]:
     """Positions of the customers in the order of service: the best of the first tier, all others.
 
-    The best are those of the largest worth that power suffices for.
+    The best are those of the largest worth that a capacity suffices for.
     """
     order = service_order(state, tiers)
     first = np.flatnonzero(state.site.customers.tier == tiers[0])
-    best = first[best_subset(state.worth[first], state.load_kw[first], state.capacity_kw)]
+    best = first[best_subset(state.worth[first], state.load_kw[first], capacity_kw)]
     chosen = np.isin(order, best)
     return [order[chosen], order[~chosen]]
 
