@@ -89,12 +89,12 @@ MECHANISMS = (
     Mechanism(
         "service in the network",
         {"network.decide.network_master": nothing, "ladder.network_master": nothing},
-        ("network.master", "network.sets", "network.cheapest", "network.feeders"),
+        ("network.master", "network.sets", "network.cheapest", "network.large"),
     ),
     Mechanism(
         "cuts of feeders",
-        {"network.master.NetworkMaster._by_feeders": none_held},
-        ("network.feeders", "network.master.NetworkMaster._by_feeders"),
+        {"network.large.LargeMaster._by_feeders": none_held},
+        ("network.large.Feeders", "network.large.LargeMaster._by_feeders"),
     ),
     Mechanism(
         "cheaper set in the network",
@@ -107,7 +107,7 @@ MECHANISMS = (
             "network.master.search_options": no_options,
             "fleet.masters.search_options": no_options,
             "programs.PROOF": {},
-            "network.feeders.SEARCH": {},
+            "network.large.SEARCH": {},
         },
     ),
     Mechanism(

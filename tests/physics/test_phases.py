@@ -559,7 +559,7 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
     order = service_order(state, list(island.tiers))
     kept: list[int] = []
     for customer in order:
-        tried = served_by_phase(state, np.array([*kept, customer])).dispatch.served[0]
+        tried = served_by_phase(state, [np.array([*kept, customer])]).dispatch.served[0]
         kept += [customer] if tried[[*kept, customer]].all() else []
     flows: list[int] = []
     solved = PhasedModel.solved
@@ -569,10 +569,31 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
         return solved(model, source, *drawn)
 
     monkeypatch.setattr(PhasedModel, "solved", counted)
-    served = served_by_phase(state, order).dispatch.served[0]
+    served = served_by_phase(state, [order]).dispatch.served[0]
     assert np.flatnonzero(served).tolist() == sorted(kept)
     assert served.all() == (share == 10.0)
     assert share < 10.0 or len(flows) < len(order)
+
+
+def test_the_rule_serves_the_largest_worth_of_a_first_tier_that_power_suffices_for(
+    day: Scenario,
+) -> None:
+    """Of two on three phases the smaller one is worth more per kW, but less, and not both fit."""
+    names = [str(name) for name in day.customers.id]
+    large, small = (names.index(next(n for n in names if n.endswith(end))) for end in "ed")
+    weight = np.full(len(names), 0.01)
+    weight[[large, small]] = 1.5, 1.0
+    customers = replace(day.customers, tier=["critical"] * len(names), weight=weight)
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    island = replace(day, customers=customers, batteries=full).between(12, 13)
+    options = RunOptions(horizon_h=0.0).on(island)
+    observation = Day(island, options).observe(make_controller(island, options), 0)
+    state = StepState.of(Site.of(island), observation, "lossless")
+    state = replace(state, pv_kw=0.0 * state.pv_kw, load_kw=np.zeros(len(names)))
+    former_kw = state.discharge_max_kw[full.formers].sum()
+    state.load_kw[[large, small]] = 0.8 * former_kw, 0.4 * former_kw
+    served = rule_dispatch(state, list(island.tiers)).dispatch.served[0]
+    assert served[[large, small]].tolist() == [True, False]
 
 
 @pytest.mark.daily

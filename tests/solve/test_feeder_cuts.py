@@ -19,7 +19,13 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.netting import net_modes
-from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
+from vppres.solve.network.large import (
+    SHARED,
+    Feeders,
+    feeder_of_buses,
+    feeder_of_rows,
+    master_in_network,
+)
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.sets import ServiceCuts
 from vppres.solve.programs import Program, ProgramSolution
@@ -83,7 +89,7 @@ def test_cuts_leave_every_set_that_is_carried(
     data = window(day, slice(hour, hour + 2), 0.35)
 
     def master() -> NetworkMaster:
-        return NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+        return master_in_network(ModelCache(site), data, Deadline(TIME_S))
 
     usual, best = master().service(Deadline(TIME_S))
     assert usual.status == Status.OPTIMAL
@@ -108,10 +114,12 @@ def cheapest_of_large(
     site: Site, data: WindowData, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[NetworkMaster, Dispatch]:
     """The cheapest dispatch of the best schedule, as of a large window."""
-    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
+    _, served = master_in_network(ModelCache(site), data, Deadline(TIME_S)).service(
+        Deadline(TIME_S)
+    )
     assert served is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+    master = master_in_network(ModelCache(site), data, Deadline(TIME_S))
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     assert dispatch is not None
@@ -182,7 +190,7 @@ def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
 
     def service() -> tuple[Outcome, NetworkMaster, np.ndarray | None]:
-        master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+        master = master_in_network(ModelCache(site), data, Deadline(TIME_S))
         outcome, served = master.service(Deadline(TIME_S))
         return outcome, master, served
 

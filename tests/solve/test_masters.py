@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,17 +20,18 @@ from tests.support.programs import knapsack
 from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
 from vppres.model.data import WindowData
-from vppres.model.numerics import objective_scale
+from vppres.model.numerics import POLYGON_SIDES, objective_scale
 from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import _solve_cost, cost_form, least_reactive
+from vppres.solve.dispatch import CostLevel, least_reactive
 from vppres.solve.fleet.masters import Master, master_of
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.fleet.rungs import service_then_cost
+from vppres.solve.forms import Form
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, NetworkMaster
@@ -395,10 +396,8 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scen
     assert served is not None
     before = master.cheapest(served, Deadline(TIME_S))[1]
     assert before is not None
-    attempt = least_reactive(shared_cache(site), data, before, Deadline(TIME_S))
-    after = attempt.dispatch
-    assert attempt.outcome.status == Status.OPTIMAL
-    assert after is not None
+    outcome, after = least_reactive(shared_cache(site), data, before, Deadline(TIME_S))
+    assert outcome.status == Status.OPTIMAL
     np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)
     assert check_dispatch(heavy, data, after).worst[1] < 2e-5
     weights, r = site.weights, site.network.r_ohm
@@ -468,15 +467,10 @@ def test_a_schedule_costs_no_more_with_what_is_eased_for_it(soc: float) -> None:
     day = with_pv(two_buses([[20.0, 30.0]] * 2, [1.0, 0.1], [DARK, DARK]), [120.0, 140.0], 200.0)
     day = replace(day, batteries=battery(energy_kwh=100.0, count=3, soc=soc))
     served = np.ones((2, 2), dtype=bool)
-    solve = partial(
-        _solve_cost,
-        ModelCache(Site.of(day)),
-        window(day),
-        served,
-        find_solver("highs"),
-        cost_form(0, network=False),
-        Deadline(10.0),
-    )
-    exact, more = (solve(eased=eased).outcome for eased in (False, True))
+    cache, limits = ModelCache(Site.of(day)), SolveLimits(time_s=10.0)
+    task = WindowTask.begin(window(day), cache, limits, find_solver("highs"), POLYGON_SIDES)
+    form = Form("cost", "fixed", "relaxed", network=False)
+    level = CostLevel.of(task, served)
+    exact, more = (level.solve(form, eased=eased).outcome for eased in (False, True))
     assert exact.status == more.status == Status.OPTIMAL
     assert more.bound <= exact.bound + 1e-12 * abs(exact.bound)

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from tests.support.rated_windows import PATIENT, rated, verdict
-from tests.support.small_windows import DARK, battery, two_buses, with_pv
+from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
+from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.units import kva_to_a
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.model.ratings import limit_kva, with_ratings
+from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import LIMIT
 from vppres.solve.ladder import WindowSolver
@@ -43,6 +45,31 @@ def test_no_flow_is_above_its_rating_for_the_sun_that_it_would_carry() -> None:
     share = flow_kva / limit_kva(with_ratings(site, data))
     assert found.dispatch.pv_curtailed_kw.sum() > 1.0
     assert 1.0 - 1e-6 < share.max() <= 1.0 + 1e-6
+
+
+def test_the_battery_that_loses_least_discharges_as_far_as_a_rating_allows() -> None:
+    """9 kW behind a line of some 5 kVA, in the dark.
+
+    A battery at the customer spends 2 kWh for one, that before the line 1.25: it gives all that the
+    line carries. No plan costs anything, and each kWh that is left is worth .01.
+    """
+    day = two_buses([[9.0]], [1.0], [DARK])
+    rating_a = kva_to_a(np.array([100.0, 5.0]), 11.0)
+    network = Network([1, 2], [2, 3], [0.01] * 2, [0.01] * 2, 1, base_kv=11.0, i_max_a=rating_a)
+    batteries = battery(100.0, 20.0, 20.0, soc=0.5, count=2)
+    batteries = replace(batteries, bus=[2, 3], eta_discharge=[0.8, 0.5])
+    customers = replace(day.customers, bus=[3])
+    day = replace(day, network=network, batteries=batteries, customers=customers)
+    energy_kwh = np.linspace(0.0, 200.0, PIECES + 1)
+    worth = StoredValue(energy_kwh, 0.01 * energy_kwh, 1000.0, as_service=True)
+    site = replace(Site.of(day), rated=True)
+    data = replace(window(day), stored_value=worth)
+    line_kw = float(limit_kva(with_ratings(site, data))[0, 1])
+    found = WindowSolver(site).solve(data)
+    assert found.status == "optimal"
+    assert found.dispatch.discharge_kw[0] == pytest.approx([line_kw, 9.0 - line_kw], abs=1e-3)
+    left_kwh = 100.0 - 1.25 * line_kw - 2.0 * (9.0 - line_kw)
+    assert found.objective == pytest.approx(1.0 + 0.01 * left_kwh, abs=1e-4)
 
 
 def test_limits_that_no_longer_move_a_solution_are_not_looked_for_on(

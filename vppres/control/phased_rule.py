@@ -9,6 +9,7 @@ phase that it does not relieve, and a power flow by phase says of every set whet
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -38,14 +39,14 @@ REST_PU = 1e-3
 other phases and magnetising currents move it by."""
 
 
-def served_by_phase(state: StepState, order: Wholes) -> Carried:
-    """Customers in an order, each if all phases carry it beside those before.
+def served_by_phase(state: StepState, blocks: Sequence[Wholes]) -> Carried:
+    """Customers block by block, each if all phases carry it beside those before.
 
     Parameters
     ----------
     state : StepState
         A step without grid, of a site with phases.
-    order : array of int, shape (C,)
+    blocks : sequence of array of int
         Positions of customers, the most important first.
     """
     nobody = np.zeros(len(state.site.customers), dtype=bool)
@@ -57,7 +58,19 @@ def served_by_phase(state: StepState, order: Wholes) -> Carried:
             dispatch_of(state, nobody, (pv, pv, pv), battery, battery, 0.0, {}), 0.0, 0.0
         )
     # Customers that are carried together are carried one by one: most of them take no flow each.
-    return former.dispatch(with_more(nobody, best, [order], former.carried))
+    return former.dispatch(with_more(nobody, best, blocks, former.carried))
+
+
+def capacity_by_phase_kw(state: StepState) -> float:
+    """Demand that the former of an island, and what is behind customers' meters, may carry."""
+    former = Former.of(state)
+    if former is None:
+        return 0.0
+    everyone = np.ones(len(state.site.customers), dtype=bool)
+    own = state.own_kw(everyone)
+    given_kw, _ = former.behind_meters(everyone, own)
+    taken_kw = sum(kw.sum() for kind, kw in state.taken_kw.items() if kind not in state.formers)
+    return former.most_kw + float(own.sum() + given_kw.sum() - taken_kw)
 
 
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
@@ -173,7 +186,7 @@ class Former:
         """
         state, batteries = self.state, self.state.site.batteries
         own = state.own_kw(served)
-        given_kw, wanted_kvar = self._behind_meters(served, own)
+        given_kw, wanted_kvar = self.behind_meters(served, own)
         taken_kvar = np.zeros(len(batteries)) if before is None else before.taken_kvar
         found: PhasedResult | None = None
         for _ in range(MOST_FLOWS):
@@ -220,7 +233,7 @@ class Former:
             taken += in_proportion(kvar, np.where((coils == phase) & self.others, room_kvar, 0.0))
         return taken
 
-    def _behind_meters(self, served: Flags, own: Floats) -> Floats:
+    def behind_meters(self, served: Flags, own: Floats) -> Floats:
         """Power that other batteries give to what is served on their own coils, (2, B)."""
         state, site = self.state, self.state.site
         load_kw = state.load_kw * served

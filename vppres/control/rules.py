@@ -22,7 +22,7 @@ from vppres.control.carried import (
     in_proportion,
     with_more,
 )
-from vppres.control.phased_rule import served_by_phase
+from vppres.control.phased_rule import capacity_by_phase_kw, served_by_phase
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.solve.fleet.relaxation import weight_grid
@@ -46,28 +46,39 @@ def rule_dispatch(
     battery_kw : array, shape (B,), optional
         Wanted charging power, negative to discharge; given up where service needs it.
     """
-    order = service_order(state, tiers)
-    if state.island and state.site.phases:
-        return served_by_phase(state, order)
-    wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
     customers = state.site.customers
-    first = customers.tier == tiers[0]
-    for power in (wanted, 0.0 * wanted):  # no customer is disconnected for a battery's sake
-        everyone = carry(state, np.ones(len(customers), dtype=bool), power)
-        if everyone is not None and not everyone.shortage:
-            return everyone
-    wanted = 0.0 * wanted
-    served = np.zeros(len(customers), dtype=bool)
-    served[first] = best_subset(state.worth[first], state.load_kw[first], state.capacity_kw)
-    best = carry(state, served, wanted)
-    assert best is not None  # the subset fits the capacity, and no customer at all always does
+    if state.island and state.site.phases:
+        blocks = blocks_of_service(state, tiers, capacity_by_phase_kw(state))
+        return served_by_phase(state, blocks)
+    idle = np.zeros(len(state.site.batteries))
+    everyone = np.ones(len(customers), dtype=bool)
+    found = carry(state, everyone, idle if battery_kw is None else battery_kw)
+    if found is not None and not found.shortage:
+        return found
+    # No customer is disconnected for a battery's sake.
+    nobody = np.zeros(len(customers), dtype=bool)
+    others = customers.tier != tiers[0]
 
-    def no_worse(tried: Flags, before: Carried) -> Carried | None:
-        found = carry(state, tried, wanted)
-        return found if found is not None and found.no_worse_than(before) else None
+    def beside(tried: Flags, before: Carried) -> Carried | None:
+        found = carry(state, tried, idle)
+        given = found is not None and (not tried[others].any() or found.no_worse_than(before))
+        return found if given else None
 
-    others = [np.array([c]) for c in order if not served[c] and not first[c]]
-    return with_more(served, best, others, no_worse)
+    alone = carry(state, nobody, idle)
+    assert alone is not None  # nothing has to be carried
+    return with_more(nobody, alone, blocks_of_service(state, tiers, state.capacity_kw), beside)
+
+
+def blocks_of_service(state: StepState, tiers: Sequence[str], capacity_kw: float) -> list[Wholes]:
+    """Positions of the customers in the order of service: the best of the first tier, all others.
+
+    The best are those of the largest worth that a capacity suffices for.
+    """
+    order = service_order(state, tiers)
+    first = np.flatnonzero(state.site.customers.tier == tiers[0])
+    best = first[best_subset(state.worth[first], state.load_kw[first], capacity_kw)]
+    chosen = np.isin(order, best)
+    return [order[chosen], order[~chosen]]
 
 
 def service_order(state: StepState, tiers: Sequence[str]) -> Wholes:

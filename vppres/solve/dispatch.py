@@ -38,7 +38,7 @@ from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, with_more_room
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import SolverSpec, run, run_conic
+from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
 
@@ -60,19 +60,20 @@ SERVICE_HELD_REL = 1e-7
 is what interior points may miss it by."""
 
 
+NO_TIME = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+"""End of a solve that there is no time for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Attempt:
     """A solve for a dispatch: its outcome, and the dispatch if there is one.
 
-    ``both_kw``, (W,), is what was imported and exported at the same time before it was netted;
-    ``wasteful`` says that there is no dispatch only because batteries would charge and discharge at
-    once, to lose energy that is curtailed otherwise.
+    ``both_kw``, (W,), is what was imported and exported at the same time before it was netted.
     """
 
     outcome: Outcome
     dispatch: Dispatch | None
     both_kw: Floats = field(default_factory=lambda: np.zeros(1))
-    wasteful: bool = False
     own: OwnValues = NO_OWN_VALUES
 
 
@@ -211,54 +212,146 @@ def cheapest(
     mostly ends at the same. They stay if the fleet's bound leaves no more of the cost open than a
     search for cost may.
     """
-    # A large network may need long to find that there is none.
-    deadline = task.answer_by(HALF if network else 1.0)
-    # What a restoration adds to the demand is known with the service.
-    data = task.data.for_service(served)
-    # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
-    gap_gbp = 0.0 if modes else (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
-    form = cost_form(task.sides if network else 0, network)
-    cost = partial(
-        solve_cost, task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later
-    )
+    level = CostLevel.of(task, served, network, modes_later)
     if modes:
-        return _costs(task, data, cost(held=modes), network, -np.inf)
-    if not network and sheet_of(task.cache, data).own_whole:
-        fleet = fleet_problem(task.cache, data, lumped=True, integer=True, goal="dispatch")
-        fleet.write(data, eased=True)
+        return replace(level, curtailed_gap_gbp=0.0).candidate(modes, -np.inf)
+    if not network and sheet_of(task.cache, level.data).own_whole:
+        fleet = fleet_problem(task.cache, level.data, lumped=True, integer=True, goal="dispatch")
+        fleet.write(level.data, eased=True)
         fleet.hold(served)
         outcome = run(fleet, task.spec, COST_GAP_GBP, task.answer_by().left_s)
         task.certificate.note("switched", outcome)
         if outcome.status.has_answer:
-            held = cost(held=fleet.own_letters())
-            found = _costs(task, data, held, network, outcome.bound)
+            found = level.candidate(fleet.own_letters(), outcome.bound)
             if found and found.terms.f2 - found.cost_bound_gbp <= cost_gap_gbp(found.terms.f2):
                 return found
         if task.certificate.wasteful:
             return None
-    return _costs(task, data, cost(), network)
+    return level.candidate()
 
 
-def _costs(
-    task: WindowTask,
-    data: WindowData,
-    attempt: Attempt,
-    network: bool,
-    least_gbp: float | None = None,
-) -> Candidate | None:
-    """The candidate of a solve for the cheapest dispatch of a set, with the least it may cost."""
-    task.certificate.note("network_cost" if network else "cost", attempt.outcome)
-    task.certificate.wasteful |= attempt.wasteful
-    if attempt.dispatch is None:
-        return None
-    outcome = attempt.outcome
-    slack_gbp = max(outcome.value - (outcome.bound if least_gbp is None else least_gbp), 0.0)
-    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, network, attempt.own)
+@dataclass(frozen=True, eq=False)
+class CostLevel:
+    """Least cost of a supply schedule: a convex problem, with binaries only where it needs them."""
+
+    task: WindowTask  #: the window
+    data: WindowData  #: the same with the demand that the schedule brings about
+    served: Flags  #: who is supplied, (W, C)
+    #: Whether the network is part of it: with discs as cones, or polygons in large windows and for
+    #: binaries.
+    network: bool
+    deadline: Deadline  #: when its solves must be done
+    #: What a search for modes may leave open where PV power is curtailed.
+    curtailed_gap_gbp: float
+    modes_later: bool  #: whether there is no dispatch where batteries waste energy
+
+    @classmethod
+    def of(
+        cls, task: WindowTask, served: Flags, network: bool = False, modes_later: bool = False
+    ) -> CostLevel:
+        """The level of a schedule; a large network may need long to find that there is none."""
+        deadline = task.answer_by(HALF if network else 1.0)
+        # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
+        gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
+        data = task.data.for_service(served)
+        return cls(task, data, served, network, deadline, gap_gbp, modes_later)
+
+    def candidate(
+        self, held: Mapping[str, Floats] = NOTHING, least_gbp: float | None = None
+    ) -> Candidate | None:
+        """The cheapest dispatch with some letters held; none costs less than ``least_gbp``."""
+        attempt = self._in_turns(held)
+        outcome = attempt.outcome
+        self.task.certificate.note("network_cost" if self.network else "cost", outcome)
+        if attempt.dispatch is None:
+            return None
+        slack_gbp = max(outcome.value - (outcome.bound if least_gbp is None else least_gbp), 0.0)
+        found = attempt.dispatch, slack_gbp, self.network, attempt.own
+        return Candidate.of(self.task.site, self.data, *found)
+
+    def _in_turns(self, held: Mapping[str, Floats]) -> Attempt:
+        """The cheapest dispatch in which no battery charges and discharges at once."""
+        site, network = self.task.site, self.network
+        sides = disc_sides(site, self.data.n_steps) if network else 0
+        form = Form("cost", "fixed", "relaxed", sides, network=network)
+        attempt = self.solve(form, held=held)
+        eased = attempt.outcome.status == Status.INFEASIBLE and not network
+        if eased:
+            attempt = self.solve(form, held=held, eased=True)
+        if attempt.dispatch is None:
+            return attempt
+        netted, fits = net_modes(site, self.data, attempt.dispatch)
+        export = self.data.export
+        stands = export is None or export.stands_netted(
+            self.data.price_gbp_per_kwh, netted, attempt.both_kw, site.dt_h
+        )
+        if fits and stands:
+            return replace(attempt, dispatch=netted)
+        curtailing = float(netted.pv_curtailed_kw.sum()) * site.dt_h > HELD_ABS
+        if curtailing and not fits and self.modes_later:
+            self.task.certificate.wasteful = True
+            return replace(attempt, dispatch=None)
+        gap_gbp = max(DISPATCH_GAP_GBP, self.curtailed_gap_gbp) if curtailing else DISPATCH_GAP_GBP
+        spent_s = attempt.outcome.solve_s
+        # A set may need what inscribed polygons of usual sides take away.
+        usual = self.task.sides if network else 0
+        for polygon_sides in (usual, FINER * usual)[: 2 if usual else 1]:
+            integer = replace(form, exclusivity="integer", polygon_sides=polygon_sides)
+            attempt = self.solve(integer, gap_gbp, held, eased)
+            spent_s = spent_s + attempt.outcome.solve_s
+            if attempt.outcome.status != Status.INFEASIBLE:
+                break
+        return replace(attempt, outcome=replace(attempt.outcome, solve_s=spent_s))
+
+    def solve(
+        self,
+        form: Form,
+        gap_gbp: float = DISPATCH_GAP_GBP,
+        held: Mapping[str, Floats] = NOTHING,
+        eased: bool = False,
+    ) -> Attempt:
+        """One solve in a form; the gap is that of a search for modes.
+
+        With ``eased`` each battery may be emptied by as much more as rounding may have taken.
+        """
+        task, data = self.task, self.data
+        if self.deadline.passed:
+            return Attempt(NO_TIME, None)
+        conic = form.network and form.exclusivity == "relaxed"
+        if conic and sheet_of(task.cache, data).own_whole:
+            conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
+        problem = window_problem(task.cache, data, form, conic)
+        problem.fill(data, self.served)
+        missed = np.tile(eased_soc(task.site.batteries), (data.n_steps, 1)) if eased else 0.0
+        problem.limits = {"battery_soc_min": missed, "battery_reserve": missed}
+
+        def ask(left_s: float) -> Outcome:
+            if conic:
+                return run_conic(problem, left_s)
+            if held:
+                return solve_by_highs(problem, Deadline(left_s), gap_gbp, held=held)
+            return run(problem, task.spec, gap_gbp, left_s)
+
+        left_s = self.deadline.left_s
+        if form.network:
+            outcome = run_within_limits(task.site, data, problem, left_s, solve=ask)
+        else:
+            outcome = ask(left_s)
+        if not outcome.status.has_answer:
+            return Attempt(outcome, None)
+        value = problem.own_value()
+        if conic and value:  # interior points end so near to the optimum, on either side
+            value -= HELD_REL * (1.0 + abs(value))
+        own = OwnValues(value, problem.own_letters())
+        return Attempt(outcome, problem.dispatch(self.served), problem.both_ways_kw(), own)
 
 
 # From a candidate to one that the network carries.
 
-Carrier = Callable[[WindowTask, Candidate], Attempt]
+Carriage = tuple[Dispatch, OwnValues]
+"""A dispatch in the network, and the values of what only the page has in it."""
+
+Carrier = Callable[[WindowTask, Candidate], Carriage | None]
 """Finds flows, reactive power and voltages for a candidate's service and cost."""
 
 
@@ -273,12 +366,12 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
     """
     usual = (tie_breakers, as_it_is if task.own else least_reactive_power)
     for way in ways or ((as_it_is, *OF_PHASES) if task.by_phase else usual):
-        attempt = way(task, found)
-        if attempt.dispatch is None:
+        carriage = way(task, found)
+        if carriage is None:
             continue
         # The check knows the paper's families, and none that the page changes.
-        if task.changed or not broken(task.site, found.data, attempt.dispatch):
-            return found.carried_by(task.site, attempt.dispatch, attempt.own)
+        if task.changed or not broken(task.site, found.data, carriage[0]):
+            return found.carried_by(task.site, *carriage)
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
     return None
 
@@ -296,169 +389,29 @@ def settle(task: WindowTask) -> None:
         task.certificate.best = carried(task, best, *OF_PHASES) or best
 
 
-def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Attempt:
-    """The dispatch that the tie-breakers prefer, none if the network forbids its cost.
+def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Carriage | None:
+    """The dispatch that the tie-breakers prefer, with service, cost and curtailment held.
+
+    They also decide whether a dispatch that was found without the network can be had in it:
+    reactive power, voltages and true discs are all here. Their answer is dropped if it is
+    inaccurate or worsens cost or curtailment beyond the tolerance, or curtailment by more than the
+    gap leaves, which is less where service and curtailment nearly cancel.
 
     With ``inside`` a window with phases has more than its rows allow, so that interior points have
     an inside: they may curtail more, and load the former's phases by what a check lets pass.
     """
+    site, deadline, dispatch = task.site, task.answer_by(), found.dispatch
+    if deadline.passed:
+        task.certificate.note("tie_breakers", NO_TIME)
+        return None
     # More is curtailed at most by what is worth a share of the window's gap.
-    worth = task.site.weights.lambda_curt
+    worth = site.weights.lambda_curt
     allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
     rest_kwh = allowed / worth if worth > 0.0 else np.inf
     more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
     data = with_more_room(found.data) if inside else found.data
-    attempt = polish(
-        task.cache, data, found.dispatch, task.answer_by(), found.own, more_kwh, rest_kwh
-    )
-    task.certificate.note("tie_breakers", attempt.outcome)
-    return attempt
-
-
-OF_PHASES: tuple[Carrier, ...] = (tie_breakers, partial(tie_breakers, inside=True))
-"""Shares of dimmed customers at a voltage limit leave the tie-breakers no inside."""
-
-
-def as_it_is(_: WindowTask, found: Candidate) -> Attempt:
-    """The dispatch with the reactive power that it has."""
-    known = Outcome(Status.OPTIMAL, np.nan, np.nan, 0.0)
-    return Attempt(known, found.dispatch, own=found.own)
-
-
-def least_reactive_power(task: WindowTask, found: Candidate) -> Attempt:
-    """The dispatch with the least reactive power that its active power needs."""
-    attempt = least_reactive(task.cache, found.data, found.dispatch, task.answer_by())
-    task.certificate.note("reactive_power", attempt.outcome)
-    return attempt
-
-
-# Cost.
-
-
-def cost_form(polygon_sides: int, network: bool) -> Form:
-    """Form of the cost level."""
-    return Form("cost", "fixed", "relaxed", polygon_sides if network else 0, network=network)
-
-
-def solve_cost(
-    cache: ModelCache,
-    data: WindowData,
-    served: Flags,
-    spec: SolverSpec,
-    form: Form,
-    deadline: Deadline,
-    curtailed_gap_gbp: float,
-    modes_later: bool = False,
-    held: Mapping[str, Floats] = NOTHING,
-) -> Attempt:
-    """Cheapest dispatch of a schedule: a convex problem, with binaries only where it needs them.
-
-    ``form`` says whether the network is part of it, and how its discs are stated for binaries;
-    without binaries they are cones, or polygons in large windows. ``curtailed_gap_gbp`` is what
-    the search with binaries may leave open where PV power is curtailed; with ``modes_later`` there
-    is none where batteries waste energy. ``held`` are letters that are known, by their names.
-    """
-    solve = partial(_solve_cost, cache, served=served, spec=spec, deadline=deadline, held=held)
-    sides = disc_sides(cache.site, data.n_steps) if form.network else 0
-    relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
-    attempt = solve(data, form=relaxed)
-    if attempt.outcome.status == Status.INFEASIBLE and not form.network:
-        solve = partial(solve, eased=True)
-        attempt = solve(data, form=relaxed)
-    if attempt.dispatch is None:
-        return attempt
-    netted, fits = net_modes(cache.site, data, attempt.dispatch)
-    stands = data.export is None or data.export.stands_netted(
-        data.price_gbp_per_kwh, netted, attempt.both_kw, cache.site.dt_h
-    )
-    if fits and stands:
-        return replace(attempt, dispatch=netted)
-    curtailing = float(netted.pv_curtailed_kw.sum()) * cache.site.dt_h > HELD_ABS
-    if curtailing and not fits and modes_later:
-        return replace(attempt, dispatch=None, wasteful=True)
-    first_s = attempt.outcome.solve_s
-    integer = replace(form, exclusivity="integer")
-    gap_gbp = max(DISPATCH_GAP_GBP, curtailed_gap_gbp) if curtailing else DISPATCH_GAP_GBP
-    exclusive = solve(data, form=integer, gap_gbp=gap_gbp)
-    both_s = first_s + exclusive.outcome.solve_s
-    if exclusive.outcome.status == Status.INFEASIBLE and integer.polygon_sides:
-        # The set may need what inscribed polygons take away.
-        finer = replace(integer, polygon_sides=FINER * integer.polygon_sides)
-        exclusive = solve(data, form=finer, gap_gbp=gap_gbp)
-        both_s = both_s + exclusive.outcome.solve_s
-    return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
-
-
-def _solve_cost(
-    cache: ModelCache,
-    data: WindowData,
-    served: Flags,
-    spec: SolverSpec,
-    form: Form,
-    deadline: Deadline,
-    gap_gbp: float = DISPATCH_GAP_GBP,
-    held: Mapping[str, Floats] = NOTHING,
-    eased: bool = False,
-) -> Attempt:
-    """One solve of a form of the cost level; the gap is that of a search for modes.
-
-    With ``eased`` each battery may be emptied by as much more as rounding may have taken.
-    """
-    if deadline.passed:
-        return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
-    conic = form.network and form.exclusivity == "relaxed"
-    if conic and sheet_of(cache, data).own_whole:
-        conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
-    problem = window_problem(cache, data, form, conic)
-    problem.fill(data, served)
-    missed = np.tile(eased_soc(cache.site.batteries), (data.n_steps, 1)) if eased else 0.0
-    problem.limits = {"battery_soc_min": missed, "battery_reserve": missed}
-
-    def ask(left_s: float) -> Outcome:
-        if conic:
-            return run_conic(problem, left_s)
-        if held:
-            return solve_by_highs(problem, Deadline(left_s), gap_gbp, held=held)
-        return run(problem, spec, gap_gbp, left_s)
-
-    left_s = deadline.left_s
-    if form.network:
-        outcome = run_within_limits(cache.site, data, problem, left_s, solve=ask)
-    else:
-        outcome = ask(left_s)
-    if not outcome.status.has_answer:
-        return Attempt(outcome, None)
-    value = problem.own_value()
-    if conic and value:  # interior points end so near to the optimum, on either side
-        value -= HELD_REL * (1.0 + abs(value))
-    own = OwnValues(value, problem.own_letters())
-    return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw(), own=own)
-
-
-# Tie-breakers.
-
-
-def polish(
-    cache: ModelCache,
-    data: WindowData,
-    dispatch: Dispatch,
-    deadline: Deadline,
-    own: OwnValues = NO_OWN_VALUES,
-    more_kwh: float = 0.0,
-    rest_kwh: float = np.inf,
-) -> Attempt:
-    """Minimise the tie-breakers with service, cost and curtailment held.
-
-    It also decides whether a dispatch that was found without the network can be had in it: reactive
-    power, voltages and true discs are all here. The answer is dropped if it is inaccurate or
-    worsens cost or curtailment beyond the tolerance, or curtailment by more than ``rest_kwh``: what
-    the gap leaves, which is less where service and curtailment nearly cancel.
-    """
-    if deadline.passed:
-        return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
-    site = cache.site
+    sheet = sheet_of(task.cache, data)
     terms = evaluate(site, data, dispatch)
-    sheet = sheet_of(cache, data)
     # What the cost has besides is held by itself.
     f2 = terms.f2 - sheet.statement.held(data, dispatch).gbp
     f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
@@ -468,27 +421,43 @@ def polish(
     beyond = bool((data.pv_kw > site.pv.s_max_kva).any())
     curtailing = terms.f3 + more_kwh > HELD_ABS or beyond
     moves = data.moves is not None
-    problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
+    problem = task.cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
+    own = found.own
     problem.hold_own(own.letters, own.value - SERVICE_HELD_REL * (1.0 + abs(own.value)))
     near = near_to(site, data, dispatch)
     outcome = run_within_limits(site, near, problem, deadline.left_s)
+    task.certificate.note("tie_breakers", outcome)
     if outcome.status != Status.OPTIMAL:
-        return Attempt(outcome, None)
+        return None
     better = problem.dispatch(dispatch.served)
     better = replace(better, soc=data.soc_path(site, better.charge_kw, better.discharge_kw))
     better = with_flows(site, data, better) if problem.in_chains else better
     after = evaluate(site, data, better)
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
-    return Attempt(
-        outcome, better if kept else None, own=OwnValues(problem.own_value(), own.letters)
-    )
+    return (better, OwnValues(problem.own_value(), own.letters)) if kept else None
+
+
+OF_PHASES: tuple[Carrier, ...] = (tie_breakers, partial(tie_breakers, inside=True))
+"""Shares of dimmed customers at a voltage limit leave the tie-breakers no inside."""
+
+
+def as_it_is(_: WindowTask, found: Candidate) -> Carriage:
+    """The dispatch with the reactive power that it has."""
+    return found.dispatch, found.own
+
+
+def least_reactive_power(task: WindowTask, found: Candidate) -> Carriage:
+    """The dispatch with the least reactive power that its active power needs."""
+    outcome, dispatch = least_reactive(task.cache, found.data, found.dispatch, task.answer_by())
+    task.certificate.note("reactive_power", outcome)
+    return dispatch, NO_OWN_VALUES
 
 
 def least_reactive(
     cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: Deadline
-) -> Attempt:
+) -> tuple[Outcome, Dispatch]:
     """Least reactive flows and use of inverters for the active power of a dispatch, step by step.
 
     A step without an answer, or for which there is no time, keeps the reactive power that it has.
@@ -509,4 +478,4 @@ def least_reactive(
             changed = model.put_into(changed, t)
         else:
             status = outcome.status
-    return Attempt(Outcome(status, np.nan, np.nan, watch.spent_s, solver), changed)
+    return Outcome(status, np.nan, np.nan, watch.spent_s, solver), changed

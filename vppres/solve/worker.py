@@ -10,12 +10,10 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import queue
 import resource
 import signal
 import socket
 import sys
-import threading
 import traceback
 from collections import OrderedDict
 from dataclasses import dataclass, field
@@ -76,29 +74,16 @@ def serve(fd: int, memory_bytes: int) -> None:
     """
     _prepare()
     channel = Channel(socket.socket(fileno=fd))
-    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(channel, inbox), daemon=True).start()
     try:
         _limit_memory(memory_bytes)
         solvers = Solvers()
         channel.send(Reply())
         while True:
-            channel.send(solvers.reply(pickle.loads(inbox.get())))
-    except MemoryError:
-        os._exit(OUT_OF_MEMORY)
-    except OSError:
-        os._exit(0)  # the parent is gone
-
-
-def _read(channel: Channel, inbox: queue.SimpleQueue[bytes]) -> None:
-    """Take in tasks while others are being done, so that the end of the socket is always seen."""
-    try:
-        while True:
-            inbox.put(channel.receive())
+            channel.send(solvers.reply(pickle.loads(channel.receive())))
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
     except (EOFError, OSError):
-        os._exit(0)
+        os._exit(0)  # the other end is closed
 
 
 def _prepare() -> None:

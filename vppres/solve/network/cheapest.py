@@ -10,6 +10,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
+from vppres.model.numerics import cost_scale
 from vppres.model.site import Site
 from vppres.model.violations import POWER_TOLERANCE_REL
 from vppres.solve.cache import ModelCache
@@ -107,8 +108,11 @@ class CheapestDispatch:
     def _worth_of_sun(self) -> float:
         """Worth of a kW of PV power in a dispatch, in GBP: more than any saving by losing it.
 
-        Without it, any dispatch would be the cheapest where nothing has a price.
+        Without it, any dispatch would be the cheapest where nothing has a price. Beside later
+        service it is worth what F says: room for sun may be worth more than energy, or less.
         """
+        if self.data.keeps_service:
+            return self.site.dt_h * self.site.weights.lambda_curt * cost_scale(self.site)
         highest = np.abs(self.model.program.cost).max(initial=0.0)
         return float(self.site.dt_h * (1.0 + SUN_OVER_PRICE * highest))
 

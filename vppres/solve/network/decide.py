@@ -23,6 +23,7 @@ from vppres.solve.dispatch import (
     ways_of_rows,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
+from vppres.solve.network.large import master_in_network
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT, SOLVED
 from vppres.solve.result import Outcome, Status
@@ -97,7 +98,7 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if task.own or not applies(task.site, task.data):
         return None
-    return NetworkMaster(task.cache, task.data, task.deadline)
+    return master_in_network(task.cache, task.data, task.deadline)
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:

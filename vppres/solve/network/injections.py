@@ -17,6 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.data import WindowData
+from vppres.model.numerics import cost_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import (
@@ -75,7 +76,9 @@ def select_devices(sheet: Sheet) -> Selection:
         parts.append(sheet.limit_of("export_min", {"P_exp": -1.0}))
         by = [sheet.family(name) for name in OF_PV]
         parts = eliminated(sheet, parts, ("P_self", "P_exp"), by)
-    return replace(found, parts=tuple(parts), order=LETTERS).optimise(f2=1.0)
+    found = replace(found, parts=tuple(parts), order=LETTERS)
+    # Service is a set's own, but for what energy that is left buys later.
+    return found.optimise(f2=1.0, f7=-cost_scale(sheet.site))
 
 
 def devices(site: Site, sheet: Sheet) -> Selected:

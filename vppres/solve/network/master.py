@@ -17,13 +17,12 @@ from vppres.model.data import WindowData
 from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.deadline import HALF, Deadline, Stopwatch
+from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
-from vppres.solve.network.feeders import MOST_LOST, Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import BOUND_OFF, SearchState, ServiceCuts
+from vppres.solve.network.sets import SearchState, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
@@ -42,9 +41,6 @@ from vppres.solve.sizes import is_large
 
 DISCS = (DISC, FINER_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
-
-TRIES = 12
-"""Sets of so many units that are tried in a large window before fewer units are."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -108,11 +104,6 @@ class NetworkMaster:
         at_bus = at_items(self.data.parts.dead, self.site.customer_bus)
         return np.where(at_bus, 0.0, 1.0).ravel()
 
-    @cached_property
-    def alone(self) -> Flags:
-        """Customers in parts beside that with the grid's bus, (W * C,)."""
-        return at_items(self.data.parts.beyond, self.site.customer_bus).ravel()
-
     @property
     def most_units(self) -> float:
         """Service that no set exceeds, in units; infinite where it was not found."""
@@ -149,10 +140,7 @@ class NetworkMaster:
         most = self._cut(root, cuts)
         known = SearchState(self.able, float(np.floor(most + SOLVED)), self._shares(root))
         known.improve(*self._carried(root))
-        if self.network.is_large:
-            self._close_large(known, cuts, deadline)
-        else:
-            self._close(known, cuts, deadline)
+        self._close(known, cuts, deadline)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -213,58 +201,6 @@ class NetworkMaster:
         priced = self._priced(linear)
         return priced | np.pad(binding, (0, len(priced) - len(binding)))
 
-    def _by_feeders(self, cuts: ServiceCuts, deadline: Deadline) -> Floats:
-        """Lower the first bound by feeders' own searches; returns who is supplied.
-
-        (W * C,), NaN for who is left open. Where a share of a feeder's customers is a fraction,
-        the feeder is searched with binaries, once: a second search at the prices of a linear
-        problem with its cut takes next to nothing more. A part of a feeder has few customers, and
-        may miss a linear problem by any of them.
-        """
-        x = self.model.at("x_served").ravel()
-        held = np.full(len(x), np.nan)
-        raised = np.zeros(len(x))
-        total = 0.0
-        open_ = np.repeat(~self.data.dark, len(self.site.customers)) | self.alone
-        of_bus = feeder_of_buses(self.site.network)
-        of_column = self.model.feeders(of_bus)[self.model.origin]
-        cut = of_bus[1:][self.data.parts.lines.any(axis=0)]
-        program = limited(self.network.with_cost(*self.lack), self.network.found)
-        feeders = Feeders(program, self.root[1], of_column, x)
-        end = deadline.part(HALF)
-        for number in feeders.fractional:
-            if end.passed:
-                break
-            most_lost = np.inf if number in cut else MOST_LOST
-            found = feeders.search(number, end, most_lost)
-            places = found.binaries[open_[found.binaries]]
-            held[places] = found.served[open_[found.binaries]]
-            raised[found.binaries] = found.raised
-            total += found.raised
-        cuts.lower(raised, total)
-        return held
-
-    def _close_large(self, known: SearchState, cuts: ServiceCuts, deadline: Deadline) -> None:
-        """Try sets of as many units as none exceeds, and of fewer where there are none.
-
-        The best set is put to the discs themselves, in two steps, where it has no dispatch within
-        them: it may exceed many by the little that a bound admits. From then on each better one is.
-        """
-        held = np.full(len(self.units), np.nan)
-        if not known.closed():
-            held = self._by_feeders(cuts, deadline)
-            known.bound = max(known.most, float(np.floor(cuts.first + SOLVED)))
-        known.tried = np.where(np.isnan(held), self.able, held)
-        if not known.closed() and not self._learns(known, cuts, deadline, DISC):
-            return
-        for over, finer in pairwise(DISCS):
-            self._reach(known, cuts, held, deadline, over)
-            if known.best is None or self._has_dispatch(known.best):
-                return
-            if self._put_to_discs(known, cuts, finer) is None:
-                return
-        self._reach(known, cuts, held, deadline, finer)
-
     def _put_to_discs(
         self, known: SearchState, cuts: ServiceCuts, over: float
     ) -> ProgramSolution | None:
@@ -281,72 +217,6 @@ class NetworkMaster:
         known.best, known.most = None, -np.inf
         known.improve(*self._carried(carried))
         return carried
-
-    def _reach(
-        self, known: SearchState, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
-    ) -> None:
-        """Try sets of as many units as the bound, which falls where none has them.
-
-        Where that cannot be told, sets of fewer units are tried, and the bound stays.
-        """
-        goal = known.bound
-        while goal > known.most and not deadline.passed:
-            none_has = self._none_has(goal, known, cuts, held, deadline, over)
-            if none_has and goal == known.bound:
-                known.exclude()
-            goal -= 1.0
-
-    def _none_has(
-        self,
-        units: float,
-        known: SearchState,
-        cuts: ServiceCuts,
-        held: Floats,
-        deadline: Deadline,
-        over: float,
-    ) -> bool:
-        """Whether it is proven that no set has so many units, after some that might were tried.
-
-        First those that supply with grid, and in parts, the customers that the feeders' searches
-        supply: voltages or the part's own balance decide there, in an outage the balance of all
-        does. The others follow.
-        """
-        found = None
-        only_parts = [np.where(self.alone, held, np.nan)] if self.alone.any() else []
-        for said in (held, *only_parts, np.full(len(held), np.nan)):
-            for _ in range(TRIES):
-                found = cuts.with_units(units, known.shares, said, deadline)
-                if not found.status.has_answer:
-                    break
-                if (np.round(found.x) == known.tried).all():
-                    return False
-                known.tried = np.round(found.x)
-                done = not self._learns(known, cuts, deadline, over)
-                if done or known.most >= units or deadline.passed:
-                    return False
-        return found is not None and found.status == Status.INFEASIBLE
-
-    def _learns(
-        self, known: SearchState, cuts: ServiceCuts, deadline: Deadline, over: float
-    ) -> bool:
-        """Put the set that is tried into the network; says whether that was solved.
-
-        The discs themselves are asked only where the set would be the best without them.
-        """
-        solver = self.root[0]
-        enough = known.most
-        linear = self._tried(solver, known.tried, DISC, enough, deadline)
-        if over < DISC and self.units @ self._in_full(linear) > enough:
-            linear = self._tried(solver, known.tried, over, enough, deadline)
-        if linear.status != Status.OPTIMAL:
-            return False
-        self._cut(linear, cuts)
-        known.shares = self._shares(linear)
-        known.improve(*self._carried(linear))
-        wanted = float(self.units @ known.tried)
-        if wanted + linear.value < BOUND_OFF:
-            known.improve(known.tried, wanted)
-        return True
 
     def carries(self, served: Flags) -> bool:
         """Whether the relaxation in the network serves a set in full."""
