@@ -107,11 +107,13 @@ def parts_of(
         for number in np.unique(numbers):
             inside = numbers == number
             formers = formers_within(site, inside[at]) & charged
-            if number in formed or formers.any():
-                largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
-                held = reference[t, number] == 0
-                reference[t, inside & ~held] = at[largest] if formers.any() else number
-                forms[t] |= formers & ~grid[t, at]
+            if reference[t, number] != 0:
+                if formers.any():
+                    largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
+                    reference[t, inside] = at[largest]
+                elif number in formed:
+                    reference[t, inside] = number
+            forms[t] |= formers & ~grid[t, at]
     dead = (reference < 0) | out.buses
     return Parts(out.lines, part, dead, np.where(dead, -1, reference), forms)
 

@@ -221,8 +221,8 @@ class SetsAhead(UnitsAhead):
         return missing_litres / (sets.litres_per_kwh * dt_h)
 
     def may_start(self, sets: Gensets, outage: Flags) -> Flags:
-        """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""
-        return self.rested & self.can_run & (outage[:, None] | ~sets.only_in_outage)
+        """Steps in which a set that is off may start, (W, G), as ``outage`` at its bus."""
+        return self.rested & self.can_run & (outage | ~sets.only_in_outage)
 
     @property
     def usable(self) -> Flags:
@@ -277,7 +277,7 @@ class SetsAhead(UnitsAhead):
                 wrong[t : t + least_on[g], g] |= (~on & self.can_run)[t : t + least_on[g], g]
             for t in np.flatnonzero(stops[:, g]):
                 wrong[t : t + least_off[g], g] |= on[t : t + least_off[g], g]
-            in_use = outage | ~sets.only_in_outage[g] | young | self.must_run[:, g]
+            in_use = outage[:, g] | ~sets.only_in_outage[g] | young | self.must_run[:, g]
             wrong[:, g] |= on[:, g] & ~in_use
         return wrong
 

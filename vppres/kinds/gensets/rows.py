@@ -23,6 +23,7 @@ from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -223,7 +224,8 @@ class GensetsModel(Addition):
         """Write the sets of a window."""
         ahead = data.ahead.known(SetsAhead)
         write(self.can_run, ahead.can_run.astype(float))
-        write(self.can_start, ahead.may_start(site.gensets, data.dark).astype(float))
+        outage = at_items(data.in_island, site.unit_bus["gensets"])
+        write(self.can_start, ahead.may_start(site.gensets, outage).astype(float))
         write(self.must_run, ahead.must_run.astype(float))
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)
