@@ -13,7 +13,7 @@ import pytest
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import known, planned_kw, solved
-from tests.support.faulted import faulted_day
+from tests.support.faulted import faulted_day, faulted_window
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
@@ -267,7 +267,6 @@ def test_sets_supply_the_parts_that_faults_cut_off(only_in_outage: bool) -> None
     sets = gensets(2, bus=[fault.line for fault in faults], p_min_kw=0.0, grid_forming=True)
     day = replace(
         day,
-        customers=replace(day.customers, power_factor=np.ones(len(day.customers))),
         batteries=hospital(50.0, 50.0).batteries,
         gensets=replace(sets, only_in_outage=np.full(2, only_in_outage)),
         faults=faults,
@@ -276,6 +275,31 @@ def test_sets_supply_the_parts_that_faults_cut_off(only_in_outage: bool) -> None
     assert run.gensets is not None
     assert run.gensets.groupby("time")["running"].sum().tolist() == [0, 2, 2, 0]
     assert run.customers["served"].all() and not run.steps["dark"].any()
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", [16, 7, 3])
+def test_methods_agree_on_several_sets_in_parts(seed: int) -> None:
+    """The largest with fuel gives its part reactive power, while it runs."""
+    day = faulted_day(seed)
+    rng = np.random.default_rng([seed, 7])
+    count = int(rng.integers(2, 4))
+    lines = [fault.line for fault in day.faults if fault.line is not None]
+    sets = gensets(
+        count,
+        bus=rng.choice(np.array([*lines, day.network.to_bus[-1]], dtype=object), count),
+        p_max_kw=rng.uniform(40.0, 150.0, count),
+        fuel_level_litres=rng.uniform(10.0, 200.0, count),
+        only_in_outage=rng.random(count) < 0.6,
+        grid_forming=True,
+        power_factor=0.9,
+    )
+    named = np.zeros(len(day.batteries), dtype=bool)
+    day = replace(day, gensets=sets, batteries=replace(day.batteries, grid_forming=named))
+    site, data = Site.of(day), faulted_window(day)
+    data = replace(data, ahead=KindsAhead({"gensets": ahead(day)})).in_parts(site, data.parts)
+    assert data.ahead.known(SetsAhead).holds.any()
+    assert_methods_agree(site, data)
 
 
 def test_fuel_ends_and_the_island_with_it() -> None:

@@ -174,6 +174,10 @@ class UnitsAhead(ByStep):
         """Window without units that have to stay on."""
         return self
 
+    def holding(self, units: Any, part: Wholes) -> Any:
+        """Window with the units that hold parts by number, (W, n), -1 where units form none."""
+        return self
+
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, n)."""
         return np.zeros(self._arrays()[0].shape, dtype=bool)

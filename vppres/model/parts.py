@@ -118,6 +118,15 @@ def parts_of(
     return Parts(out.lines, part, dead, np.where(dead, -1, reference), forms)
 
 
+def held_by_units(site: Site, parts: Parts) -> Wholes:
+    """Number of the part of each bus, (W, N), where units of kinds form it; -1 elsewhere."""
+    found = np.where(parts.dead | ~parts.beyond, -1, parts.of_bus)
+    at = _buses(site, "batteries")
+    for t, battery in zip(*np.nonzero(parts.forms), strict=True):
+        found[t, parts.of_bus[t] == parts.of_bus[t, at[battery]]] = -1
+    return found
+
+
 def _buses(site: Site, table: str) -> Wholes:
     """Positions of the buses of a table's items."""
     index = site.network.bus_index
