@@ -189,7 +189,7 @@ class WindowData:
         places = {kind: site.unit_bus[kind] for kind in self.ahead.by_kind}
         lit = {kind: ~at_items(parts.dead, place) for kind, place in places.items()}
         held = held_by_units(site, parts)
-        of_units = {kind: held[:, place.tocoo().row] for kind, place in places.items()}
+        of_units = {kind: held[:, place.tocsc().indices] for kind, place in places.items()}
         off = at_items(parts.dead, site.customer_bus)
         return replace(
             self,
