@@ -13,6 +13,7 @@ import pytest
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import known, planned_kw, solved
+from tests.support.faulted import faulted_day, faulted_window
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
@@ -31,8 +32,10 @@ from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.plant.island import SET_NO_BALANCE
+from vppres.scenario.faults import LineFault
 from vppres.scenario.remarks import ONE_FORMER, darkness, former_words
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -167,7 +170,8 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     free = replace(day.gensets, min_on_h=np.zeros(len(sets)))  # the plant stops when it is told
     seen = ahead(replace(day, gensets=free), 40).without_duties()
     runs, given_kw = np.array(on), np.array(power_kw)
-    rules = (free, runs, day.outage, day.grid.dt_h)
+    outage = np.repeat(day.outage[:, None], len(sets), axis=1)
+    rules = (free, runs, outage, day.grid.dt_h)
     assert runs.any() and not seen.wrongly_switched(*rules).any()
     assert seen.moved_too_fast_kw(free, runs, given_kw, day.grid.dt_h).max() < 1e-6
     left = seen.fuel_litres(free, runs, given_kw, day.grid.dt_h)
@@ -251,6 +255,54 @@ def test_a_set_forms_an_island_and_gives_its_losses_and_reactive_power() -> None
     assert (given["q_kvar"].to_numpy() >= loads["q_load_kvar"].to_numpy()).all()
     assert (steps.loc[island, ["p_grid_kw", "q_grid_kvar"]] == 0.0).all(axis=None)
     assert steps["island_mismatch_kw"].abs().max() < 1e-2
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("only_in_outage", [True, False])
+def test_sets_supply_the_parts_that_faults_cut_off(only_in_outage: bool) -> None:
+    """Each its own, without batteries: the grid that others have is no grid there."""
+    day = faulted_day(1)
+    faults = tuple(
+        LineFault(day.grid.times[1], day.grid.times[3], bus) for bus in day.network.to_bus[-3:-1]
+    )
+    sets = gensets(2, bus=[fault.line for fault in faults], p_min_kw=0.0, grid_forming=True)
+    day = replace(
+        day,
+        batteries=hospital(50.0, 50.0).batteries,
+        gensets=replace(sets, only_in_outage=np.full(2, only_in_outage)),
+        faults=faults,
+    )
+    run = run_day(day, replace(PHYSICAL, mode="paper"))
+    assert run.gensets is not None
+    assert run.gensets.groupby("time")["running"].sum().tolist() == [0, 2, 2, 0]
+    assert run.customers["served"].all() and not run.steps["dark"].any()
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", [16, 7, 3])
+def test_methods_agree_on_several_sets_in_parts(seed: int) -> None:
+    """The largest with fuel gives its part reactive power, while it runs."""
+    day = faulted_day(seed)
+    rng = np.random.default_rng([seed, 7])
+    count = int(rng.integers(2, 4))
+    lines = [fault.line for fault in day.faults if fault.line is not None]
+    sets = gensets(
+        count,
+        bus=np.sort(rng.choice(np.array([*lines, day.network.to_bus[-1]]), count))[::-1],
+        p_max_kw=rng.uniform(40.0, 150.0, count),
+        fuel_level_litres=rng.uniform(10.0, 200.0, count),
+        only_in_outage=rng.random(count) < 0.6,
+        grid_forming=True,
+        power_factor=0.9,
+    )
+    named = np.zeros(len(day.batteries), dtype=bool)
+    day = replace(day, gensets=sets, batteries=replace(day.batteries, grid_forming=named))
+    site, data = Site.of(day), faulted_window(day)
+    data = replace(data, ahead=KindsAhead({"gensets": ahead(day)})).in_parts(site, data.parts)
+    holds = data.ahead.known(SetsAhead).holds
+    beyond = at_items(data.parts.beyond, site.unit_bus["gensets"])
+    assert holds.any() and beyond[holds].all()
+    assert_methods_agree(site, data)
 
 
 def test_fuel_ends_and_the_island_with_it() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self, TypeVar
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.kind import Units, UnitsAhead
 from vppres.kinds.table import parts, units_of
 from vppres.scenario.scenario import Scenario
@@ -75,6 +75,15 @@ class KindsAhead:
         """Window without power except in the lit steps of each unit, (W, n) by kind."""
         return type(self)(
             {kind: known.in_the_dark(lit[kind]) for kind, known in self.by_kind.items()}
+        )
+
+    def holding(self, units: Mapping[str, Units], part: Mapping[str, Wholes]) -> Self:
+        """Window with the units that hold the parts that no battery forms.
+
+        ``part`` is the number of each unit's part, (W, n) by kind, -1 where units form none.
+        """
+        return type(self)(
+            {kind: known.holding(units[kind], part[kind]) for kind, known in self.by_kind.items()}
         )
 
     def without_duties(self) -> Self:

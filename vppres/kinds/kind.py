@@ -174,6 +174,10 @@ class UnitsAhead(ByStep):
         """Window without units that have to stay on."""
         return self
 
+    def holding(self, units: Any, part: Wholes) -> Any:
+        """Window with the units that hold parts by number, (W, n), -1 where units form none."""
+        return self
+
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, n)."""
         return np.zeros(self._arrays()[0].shape, dtype=bool)
@@ -234,11 +238,17 @@ class UnitsAhead(ByStep):
         return 0.0
 
     def wrongly_switched(self, units: Any, running: Flags, outage: Flags, dt_h: float) -> Flags:
-        """Steps in which a unit is on or off against a rule, (W, n)."""
+        """Steps in which a unit is on or off against a rule, (W, n).
+
+        ``outage`` says in which steps the grid does not reach its bus, (W, n).
+        """
         return np.zeros_like(running)
 
     def switched_early(self, units: Any, running: Flags, outage: Flags) -> Flags:
-        """Steps in which a unit starts before it may, or runs where it must not, (W, n)."""
+        """Steps in which a unit starts before it may, or runs where it must not, (W, n).
+
+        ``outage`` is as for :meth:`wrongly_switched`.
+        """
         return np.zeros_like(running)
 
     def q_most_kvar(self, units: Any) -> Floats:

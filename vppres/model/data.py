@@ -19,7 +19,7 @@ from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
 from vppres.kinds.export.physics import Export
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
-from vppres.model.parts import Parts, at_items, parts_of
+from vppres.model.parts import Parts, at_items, held_by_units, parts_of
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
 from vppres.scenario.network import Network
@@ -188,11 +188,13 @@ class WindowData:
         """The window in a feeder that is cut into parts, with nothing in dead ones."""
         places = {kind: site.unit_bus[kind] for kind in self.ahead.by_kind}
         lit = {kind: ~at_items(parts.dead, place) for kind, place in places.items()}
+        held = held_by_units(site, parts)
+        of_units = {kind: held[:, place.tocsc().indices] for kind, place in places.items()}
         off = at_items(parts.dead, site.customer_bus)
         return replace(
             self,
             parts=parts,
-            ahead=self.ahead.in_dead_parts(lit),
+            ahead=self.ahead.in_dead_parts(lit).holding(site.kinds, of_units),
             switching=self.switching and self.switching.in_the_dark(off),
             drawn=self.drawn and self.drawn.at(~parts.dead),
         )

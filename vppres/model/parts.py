@@ -107,13 +107,24 @@ def parts_of(
         for number in np.unique(numbers):
             inside = numbers == number
             formers = formers_within(site, inside[at]) & charged
-            if number in formed or formers.any():
-                largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
-                held = reference[t, number] == 0
-                reference[t, inside & ~held] = at[largest] if formers.any() else number
-                forms[t] |= formers & ~grid[t, at]
+            if reference[t, number] != 0:
+                if formers.any():
+                    largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
+                    reference[t, inside] = at[largest]
+                elif number in formed:
+                    reference[t, inside] = number
+            forms[t] |= formers & ~grid[t, at]
     dead = (reference < 0) | out.buses
     return Parts(out.lines, part, dead, np.where(dead, -1, reference), forms)
+
+
+def held_by_units(site: Site, parts: Parts) -> Wholes:
+    """Number of the part of each bus, (W, N), where units of kinds form it; -1 elsewhere."""
+    found = np.where(parts.dead | ~parts.beyond, -1, parts.of_bus)
+    at = _buses(site, "batteries")
+    for t, battery in zip(*np.nonzero(parts.forms), strict=True):
+        found[t, parts.of_bus[t] == parts.of_bus[t, at[battery]]] = -1
+    return found
 
 
 def _buses(site: Site, table: str) -> Wholes:

@@ -205,9 +205,10 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
 
 def _switched_early(row: _Row, state: StepState) -> str:
     """Units that start before they may, or run where they must not."""
-    outage = np.array([state.island])
+    islands = state.parts.beyond | state.island
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
+        outage = at_items(islands, state.site.unit_bus[kind])
         wrong = known.switched_early(units, row.running[kind][np.newaxis], outage)[0]
         if wrong.any():
             return f"{KINDS[kind].word} switching: {units.id[np.argmax(wrong)]}"

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError
 from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, steps_of
 from vppres.kinds.kind import EnergyHeld, UnitsAhead
@@ -37,6 +37,7 @@ class SetsAhead(UnitsAhead):
     forms: Flags  #: steps in which a set is what forms the grid; it must run in them
     #: Power that it leaves free then above its plan and below it, with fuel for a step of it.
     headroom_kw: Floats
+    holds: Flags  #: steps in which a set gives its part reactive power while it runs
 
     @classmethod
     def of(cls, scenario: Scenario, steps: range, now: GensetState, past_days: Any = None) -> Self:
@@ -60,6 +61,7 @@ class SetsAhead(UnitsAhead):
             _first(now.fuel_litres, n_steps) + delivered,
             np.zeros((n_steps, len(sets)), dtype=bool),
             np.zeros((n_steps, len(sets))),
+            np.zeros((n_steps, len(sets)), dtype=bool),
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
@@ -70,11 +72,22 @@ class SetsAhead(UnitsAhead):
             must_run=self.must_run & lit,
             forms=self.forms & lit,
             headroom_kw=self.headroom_kw * lit,
+            holds=self.holds & lit,
         )
 
     def without_duties(self) -> Self:
         """Window without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
+
+    def holding(self, sets: Gensets, part: Wholes) -> Self:
+        """Window in which the largest set with fuel holds its part: one of several."""
+        able = sets.grid_forming & (self.added_litres.sum(axis=0) > 0.0)
+        holds = np.zeros_like(self.forms)
+        for t, numbers in enumerate(part):
+            for number in np.unique(numbers[able & (numbers >= 0)]):
+                inside = able & (numbers == number)
+                holds[t, np.argmax(np.where(inside, sets.p_max_kw, -1.0))] = True
+        return replace(self, holds=holds)
 
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, G)."""
@@ -195,7 +208,7 @@ class SetsAhead(UnitsAhead):
 
     def q_most_kvar(self, sets: Gensets) -> Floats:
         """Largest reactive power of each set, (W, G): none of those that follow."""
-        return np.where(self.forms, sets.q_max_kvar, 0.0)
+        return np.where(self.forms | self.holds, sets.q_max_kvar, 0.0)
 
     def most_given_kw(self, sets: Gensets) -> Floats:
         """Most that all give together, (W,)."""
@@ -221,8 +234,8 @@ class SetsAhead(UnitsAhead):
         return missing_litres / (sets.litres_per_kwh * dt_h)
 
     def may_start(self, sets: Gensets, outage: Flags) -> Flags:
-        """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""
-        return self.rested & self.can_run & (outage[:, None] | ~sets.only_in_outage)
+        """Steps in which a set that is off may start, (W, G), as ``outage`` at its bus."""
+        return self.rested & self.can_run & (outage | ~sets.only_in_outage)
 
     @property
     def usable(self) -> Flags:
@@ -277,7 +290,7 @@ class SetsAhead(UnitsAhead):
                 wrong[t : t + least_on[g], g] |= (~on & self.can_run)[t : t + least_on[g], g]
             for t in np.flatnonzero(stops[:, g]):
                 wrong[t : t + least_off[g], g] |= on[t : t + least_off[g], g]
-            in_use = outage | ~sets.only_in_outage[g] | young | self.must_run[:, g]
+            in_use = outage[:, g] | ~sets.only_in_outage[g] | young | self.must_run[:, g]
             wrong[:, g] |= on[:, g] & ~in_use
         return wrong
 

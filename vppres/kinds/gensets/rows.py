@@ -23,6 +23,7 @@ from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -72,12 +73,16 @@ class GensetsModel(Addition):
     headroom: cp.Parameter | None = None
     q_most: cp.Parameter | None = None
     at_once: cp.Parameter | None = None
+    holding: bool = False  #: whether a set that need not run gives its part reactive power
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
-        """Whether there are any, and whether one can form the grid."""
-        if data.ahead.find(SetsAhead) is None:
+        """Whether there are any, and whether one can form the grid, or holds a part."""
+        ahead = data.ahead.find(SetsAhead)
+        if ahead is None:
             return None
+        if ahead.holds.any():
+            return "holding"
         return "forming" if site.gensets.grid_forming.any() else "following"
 
     @classmethod
@@ -86,8 +91,9 @@ class GensetsModel(Addition):
         size = (v.x_served.shape[0], len(site.gensets))
         names = ("can_run", "can_start", "must_run", "was_on", "was_kw", "added")
         forming: dict[str, Any] = {}
-        if shape == "forming":
+        if shape != "following":
             forming = {
+                "holding": shape == "holding",
                 "reactive": cp.Variable(size, name="gs_reactive", bounds=[-1.0, 1.0]),
                 "headroom": cp.Parameter(size, name="gs_headroom_by_step", nonneg=True),
                 "q_most": cp.Parameter(size, name="gs_q_most_by_step", nonneg=True),
@@ -168,7 +174,13 @@ class GensetsModel(Addition):
         assert self.headroom is not None
         sets = self.site.gensets
         kept = _times(self.headroom, self.site.dt_h * sets.litres_per_kwh)
-        return {
+        of_running: Named = {}
+        if self.holding:
+            of_running = {
+                "gs_reactive_most": self.reactive <= self.on,
+                "gs_reactive_least": -self.reactive <= self.on,
+            }
+        return of_running | {
             "gs_room_above": self.power + self.headroom <= _times(self.on, sets.p_max_kw),
             "gs_room_below": self.power - self.headroom >= _times(self.on, sets.p_min_kw),
             "gs_fuel_kept": self.fuel >= kept,
@@ -223,7 +235,8 @@ class GensetsModel(Addition):
         """Write the sets of a window."""
         ahead = data.ahead.known(SetsAhead)
         write(self.can_run, ahead.can_run.astype(float))
-        write(self.can_start, ahead.may_start(site.gensets, data.dark).astype(float))
+        outage = at_items(data.in_island, site.unit_bus["gensets"])
+        write(self.can_start, ahead.may_start(site.gensets, outage).astype(float))
         write(self.must_run, ahead.must_run.astype(float))
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)

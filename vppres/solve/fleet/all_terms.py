@@ -58,11 +58,21 @@ def _named(task: WindowTask, name: str) -> str:
 
 
 def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
-    """Families and letters of the page that the fleet's relaxation does not bound."""
+    """Families and letters of the page that the fleet's relaxation does not bound.
+
+    Families of letters that an addition leaves to the network are left to it too.
+    """
     if not task.own:
         return []
     fleet = fleet_of(task.cache, task.data, lumped)
+    statement = fleet.sheet.statement
+    later = set(statement.named("of_network"))
     taken = fleet.joined.keys() | fleet.terms.keys()
+    taken |= {
+        name
+        for name, family in statement.families.items()
+        if later & {x.name() for x in family.variables()}
+    }
     return [name for name in task.own if name in task.changed or name not in taken]
 
 

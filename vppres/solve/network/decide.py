@@ -23,6 +23,7 @@ from vppres.solve.dispatch import (
     ways_of_rows,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
+from vppres.solve.fleet.rungs import with_modes_of_batteries
 from vppres.solve.network.large import master_in_network
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT, SOLVED
@@ -80,7 +81,28 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
             known.bound_service(master.unit * outcome.bound)
     if not known.nothing_to_find:
         known.best = InNetwork(task, master).decide()
+        use_surplus(task, master)
     return True
+
+
+def use_surplus(task: WindowTask, master: NetworkMaster) -> None:
+    """Search sets and modes for what a cut feeder curtails beyond the least, and keep the better.
+
+    The master takes curtailment for free. A part has more PV power than it can use where its
+    batteries are full, or where it has none: there customers have to match it.
+    """
+    known = task.certificate
+    before = known.best
+    if before is None or task.data.parts.whole or not task.goes_on:
+        return
+    more_kwh = before.terms.f3 - master.least_curtailed_kwh
+    if task.site.weights.lambda_curt * more_kwh <= task.gap_to_best:
+        return
+    with_modes_of_batteries(task)
+    found, known.best = known.best, before
+    if found is not None and not found.in_network:
+        charges = found.dispatch.charge_kw > found.dispatch.discharge_kw
+        known.keep(InNetwork(task, master).cheapest(found.dispatch.served, charges))
 
 
 def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
@@ -238,7 +260,7 @@ class InNetwork:
         """Least cost of shares of customers with so many units, in the network."""
         return self.master.least_cost(float(np.ceil(units_min - SOLVED)))
 
-    def cheapest(self, served: Flags) -> Candidate | None:
+    def cheapest(self, served: Flags, charges: Flags | None = None) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
-        found = netted(self.task, *self.master.cheapest(served, self.task.answer_by()))
+        found = netted(self.task, *self.master.cheapest(served, self.task.answer_by(), charges))
         return found and carried(self.task, found, *ways_of_rows(self.task))

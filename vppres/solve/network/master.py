@@ -402,19 +402,22 @@ class NetworkMaster:
         enough = Rows.of(columns[None, :], -lack, units_min - SOLVED, np.inf, size)
         return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
 
-    def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
+    def cheapest(
+        self, served: Flags, deadline: Deadline, charges: Flags | None = None
+    ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a supply schedule, within the discs.
 
-        With the set its rules are met, and what it draws is known.
+        With the set its rules are met, and what it draws is known. ``charges`` says which
+        batteries charge where they waste energy, (W, B), if that is known.
         """
-        if self._dispatched is not None and (self._dispatched[0] == served).all():
-            _, outcome, dispatch = self._dispatched
-            return outcome, dispatch
+        last = self._dispatched
+        if last is not None and charges is None and (last[0] == served).all():
+            return last[1:]
         if self.data.switching is None:
             way = CheapestDispatch(self.site, self.data, self.network)
         else:
             way = CheapestDispatch.of_set(self.cache, self.data, served)
-        outcome, dispatch = way.of(served, deadline)
+        outcome, dispatch = way.of(served, deadline, charges)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
         return outcome, dispatch
