@@ -24,12 +24,14 @@ import typer
 
 from benchmarks.pages import markdown_table, put_table, write_pages
 from benchmarks.terminal import plain_errors
-from experiments.studies.networks import CURES, in_pu
+from experiments.studies.networks import ACCEPT, CURES, in_pu
 from experiments.studies.opendss_itself import Itself
 from experiments.studies.seeds import STUDIES
 from vppres.core.errors import InputError, VppresError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import write_new_scenario
 from vppres.io.atomic import atomic_write_text
 from vppres.physics.powerflow import ACPowerFlow
 
@@ -130,14 +132,19 @@ def processor_s() -> float:
 
 
 def imported(master: Path) -> tuple[ImportedFeeder | None, str, float]:
-    """The feeder with the options that refusals name, those or the refusal, and CPU seconds."""
+    """The feeder with the options that refusals name, those or the refusal, and CPU seconds.
+
+    Options are those of a new folder, the seconds those of the import alone.
+    """
     chosen: dict[str, Any] = {}
     words: list[str] = []
     while True:
         start = processor_s()
         try:
             feeder = import_network(master, **chosen)
-            return feeder, ", ".join(words), processor_s() - start
+            seconds = processor_s() - start
+            words += accepted(feeder)
+            return feeder, ", ".join(words), seconds
         except VppresError as error:
             text = str(error).splitlines()[0]
             cure = next((c for c in CURES if c[0] in text and not c[1].keys() & {*chosen}), None)
@@ -146,6 +153,18 @@ def imported(master: Path) -> tuple[ImportedFeeder | None, str, float]:
                 return None, f"refused: {refusal}", processor_s() - start
             chosen |= cure[1]
             words.append(cure[2])
+
+
+def accepted(feeder: ImportedFeeder) -> list[str]:
+    """The option that accepts the feeder's voltages, if a new folder wants it."""
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            write_new_scenario(feeder, NewScenarioOptions(), Path(place) / "scenario")
+        except InputError as error:
+            if ACCEPT.strip("`") not in str(error):
+                raise
+            return [ACCEPT]
+    return []
 
 
 def apart_pu(feeder: ImportedFeeder, theirs: Itself) -> float:

@@ -21,10 +21,13 @@ from vppres.core.arrays import Floats
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
+from vppres.explain.prices import step_prices
 from vppres.explain.recorded import Recorded
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
+from vppres.solve import shadow_price_model
+from vppres.solve.shadow_price_model import ShadowPriceModel
 
 pytest.importorskip("opendssdirect")
 
@@ -280,3 +283,29 @@ def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> No
     words = explain_day(run).explanations
     assert words is not None
     assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])
+
+
+@pytest.mark.daily
+def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
+    street: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    day = on_phase_a(street, 12.0, [np.inf, DARK])
+    recorded = Recorded(run_of(day, horizon_h=1.0))
+
+    def prices(t: int, letters: int) -> dict[str, Floats]:
+        model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond_at(t))
+        found = step_prices(recorded, model, t)
+        assert len({"u", "P_flow", "Q_flow"} & model.first.keys()) == letters
+        level = found.service if found.cost is None else found.cost
+        assert level is not None
+        names = ("stored_energy", "active", "reactive", "former_phase", "battery_inverter")
+        return {name: getattr(level.prices, name) for name in names}
+
+    own = [prices(t, letters=0) for t in (0, 1)]
+    for name in ("VOLTAGES", "FLOWS"):
+        monkeypatch.setattr(shadow_price_model, name, frozenset())
+    with_tree = [prices(t, letters=3) for t in (0, 1)]
+    assert any(each["active"].any() for each in own)
+    for one, other in zip(own, with_tree, strict=True):
+        for name, values in one.items():
+            np.testing.assert_allclose(values, other[name], atol=1e-6, err_msg=name)

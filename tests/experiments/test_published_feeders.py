@@ -73,3 +73,14 @@ def test_what_is_not_compared_and_a_clone_that_fails_say_why(
     done = CliRunner().invoke(app, [str(tmp_path), "--fetch"])
     assert done.exit_code == 2, done.output
     assert f"is not cloned from {nowhere['there']} (" in " ".join(done.output.split())
+
+
+def test_voltages_that_a_new_folder_must_accept_are_an_option(tmp_path: Path) -> None:
+    master = tmp_path / "far.dss"
+    apart = SCRIPT.replace("kw=100", "kw=1000 vminpu=1")  # drawn as an impedance far below it
+    master.write_text(apart)
+    feeder, words, _ = published_feeders.imported(master)
+    assert feeder is not None
+    assert words == "`--accept-deviation`"
+    master.write_text(apart.replace("vminpu=1", "vminpu=.5"))
+    assert published_feeders.imported(master)[1] == ""

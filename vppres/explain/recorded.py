@@ -184,7 +184,7 @@ class Recorded:
         asked: float | None = self.options.get("soc_end")
         return asked
 
-    @property
+    @cached_property
     def beyond(self) -> Beyond:
         """Additions of the windows to the paper's problem; the first and last have all of them."""
         last = max(self.n_steps - self.n_seen, 0)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
 from vppres.model.linearise import Drawn
@@ -21,7 +22,7 @@ from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.cache import shared_cache
-from vppres.solve.forms import in_order, sheet_for, with_discs
+from vppres.solve.forms import in_order, sheet_for, total_balance, with_discs
 from vppres.solve.network.rows import Rows
 from vppres.solve.selection import Family, Selected, Selection, Sheet
 
@@ -30,6 +31,12 @@ RATED = {
     "battery_discharge_mode": "battery_discharge_rated",
 }
 """An inverter has a price of its own: two rows that bind together would share it."""
+
+
+BALANCES = ("active_power_balance", "reactive_power_balance")
+VOLTAGES, FLOWS = frozenset({"u"}), frozenset({"P_flow", "Q_flow"})
+"""Letters of the tree of a feeder with phases, which limits no voltage; where no line is out its
+flows make one balance of all buses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +79,7 @@ class ShadowPriceModel(Selected):
         self.n_steps = n_steps
         self.data: WindowData | None = None
         self.phase_rows: list[Rows] = []
+        self.lines_out = any(each is LinesOut for each, _ in beyond)
         self.sides = disc_sides(site, n_steps)
         sheet = sheet_for(shared_cache(site), n_steps, beyond)
         super().__init__(sheet, self._selected, conic=True)
@@ -84,11 +92,22 @@ class ShadowPriceModel(Selected):
         found = Selection(sheet).relax("x_served").relax("P_self").relax("delta")
         found = found.relaxed_to_shares(sheet.statement.named("directions"))
         polygon = Polygon.inscribed(self.sides) if self.sides else None
-        names = [RATED.get(name, name) for name in in_order(sheet)]
-        found = with_discs(found, names, polygon)
+        names = self._kept(sheet)
+        found = with_discs(found, [RATED.get(name, name) for name in names], polygon)
+        sums = [total_balance(sheet, name) for name in BALANCES if name not in names]
+        found = replace(found, parts=(*found.parts, *sums))
         for name, letter in (("mode", "delta"), ("service", "x_served")):
             found = found.limit(f"{name}_min", {letter: -1.0}).limit(f"{name}_max", {letter: 1.0})
         return found.limit_term("f3").optimise(True, f1=1.0, f2=-1.0, f3=-1.0, f7=1.0, own=1.0)
+
+    def _kept(self, sheet: Sheet) -> list[str]:
+        """Families, of a feeder with phases without the letters of its tree."""
+        statement, names = sheet.statement, in_order(sheet)
+        if not self.site.phases or statement.own or statement.changed:
+            return names
+        gone = VOLTAGES if self.lines_out else VOLTAGES | FLOWS
+        used = {n: {x.name() for x in statement.families[n].variables()} for n in names}
+        return [name for name in names if not used[name] & gone]
 
     def price(self, data: WindowData, held: FixedDecisions, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length, and what is held and priced."""
@@ -114,6 +133,13 @@ class ShadowPriceModel(Selected):
         """Rows of the problem by their name."""
         (part,) = (part for part in self.parts if part.name == name)
         return part
+
+    def worth_at_buses(self, balance: str) -> Floats:
+        """Gain of one more unit put into each bus in the first step, (N,)."""
+        # A demand on the right of the balance costs what an injection gains.
+        if balance in self.rows_of:
+            return np.asarray(-self.dual(balance)[0])
+        return np.full(self.site.network.n_buses, -self.dual(f"total_{balance}")[0])
 
     def dual(self, name: str) -> Floats:
         """Gain of one more unit of a family's limits, in its rows' shape."""

@@ -22,7 +22,12 @@ from vppres.solve.limits import run_within_limits
 from vppres.solve.network.rows import PER_PU2
 from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PhaseRows
 from vppres.solve.result import Status
-from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_price_model import (
+    BALANCES,
+    FixedDecisions,
+    PricedTerms,
+    ShadowPriceModel,
+)
 from vppres.solve.turns import one_at_a_time
 
 
@@ -138,8 +143,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
     energy_kwh = site.batteries.energy_kwh
     mode = model.value_of("delta")[0]
     dual = model.dual
-    # A demand on the right of the balance costs what an injection gains.
-    active = -dual("active_power_balance")[0]
+    active, reactive = (model.worth_at_buses(balance) for balance in BALANCES)
     of_network = _of_phases if site.phases else _of_lines
     rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
@@ -155,7 +159,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         # unique; what an injection at the slack bus gains is.
         grid=max(float(active[0] - rho_dt), 0.0),
         active=active,
-        reactive=-dual("reactive_power_balance")[0],
+        reactive=reactive,
         service=(dual("service_max") - dual("service_min"))[0],
         **of_network(model),
     )
