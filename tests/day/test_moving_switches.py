@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
-from vppres import Controller, InputError, RunOptions, run_day
+from vppres import InputError, RunOptions, run_day
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
@@ -217,8 +217,6 @@ def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:
     day = with_fault(tiny, ties((3, 4)), line=4)
     with pytest.raises(InputError, match="are not moved by full-horizon"):
         run_day(day, replace(MOVING, controller="full-horizon"))
-    with pytest.raises(InputError, match="is not for live feeders with phases"):
-        Controller.of(three_phases(replace(day, faults=())), replace(MOVING, mode="physical"))
 
 
 def packaged_day_with_fault(folder: Path) -> Scenario:

@@ -16,6 +16,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
@@ -24,8 +25,9 @@ from vppres.feeders.reconfiguration.sequence import (
     SwitchingOrder,
     safe_order,
 )
-from vppres.feeders.reconfiguration.sources import KEEPS_PHASES, of_the_day
+from vppres.feeders.reconfiguration.sources import of_the_day
 from vppres.io.messages import did_you_mean
+from vppres.scenario.configuration import Branches
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 
@@ -36,6 +38,9 @@ GRACE = pd.Timedelta(minutes=5)
 """Time that telemetry has beyond the minutes that an operation takes."""
 
 NO_GRID = "The grid is lost, and an order of operations is made for a feeder with the grid alone."
+
+COLD = "The higher demand of those who come back is not known by phase."
+LACKING = "{} is closed or would be, and has not all three phases at both ends."
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +116,6 @@ class Switchgear:
         InputError
             If a switch is unknown or has no reading, or there is no order of operations.
         """
-        if self.step.phases:
-            raise InputError.of("switching", KEEPS_PHASES, "Operate its switches by hand.")
         known = [str(name) for name in self.step.switches.id]
         problems = []
         for name in self.asked["closed"]:
@@ -134,7 +137,20 @@ class Switchgear:
         """Why no operation may be carried out; empty if one may."""
         if not self._wanted:
             return ""
-        return self.order.reason if self.has_grid else NO_GRID
+        if not self.has_grid:
+            return NO_GRID
+        return self._not_by_phase or self.order.reason
+
+    @property
+    def _not_by_phase(self) -> str:
+        """Why no state of a feeder with phases is known; empty where it is."""
+        if self.step.phases and self.step.switching.cold:
+            return COLD
+        branches = Branches.of(self.step)
+        closed = {name for states in (self.read, self._wanted) for name in states if states[name]}
+        lacks = branches.states(~branches.can_close)
+        lacking = [name for name in lacks if lacks[name] and name in closed]
+        return LACKING.format(named(lacking)) if lacking else ""
 
     @property
     def next(self) -> Operation | None:
