@@ -12,8 +12,10 @@ import pytest
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
 from vppres import InputError, RunOptions, run_day
+from vppres.control import switching
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
+from vppres.feeders.reconfiguration.sequence import NO_MARGIN, SwitchingOrder
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
@@ -126,7 +128,25 @@ def test_two_live_parts_are_joined_only_by_a_switch_that_compares_them(tiny: Sce
         day = with_fault(replace(tiny, batteries=stores), ties((3, 4), sync_check=[check]), line=4)
         run = run_day(replace(day, faults=(alone,)), replace(MOVING, horizon_h=0.0), steps=2)
         assert run.customers[run.customers["id"] == "homes"]["served"].tolist() == [True, check]
+        why = "no way leads to switches that may serve more: 3-4 joins two live parts, and has"
+        assert check or run.steps["switching_why"].iloc[1] == f"{why} no sync_check"
     assert run.steps["switched"].tolist() == ["", "closed 3-4, opened 2-4"]
+
+
+def test_words_say_why_no_order_leads_to_what_would_serve_more(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state in between that is beyond its limits does not say that no switch would serve more."""
+    reason = "No order keeps the rules in every state: open 2-4 (highest voltage 1.084 pu)."
+    none = SwitchingOrder(None, reason, True, NO_MARGIN)
+    monkeypatch.setattr(switching, "safe_order", lambda *_: none)
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
+    run = run_day(day, MOVING, steps=3)
+    assert (run.steps["switched"] == "").all()
+    words = f"no way leads to switches that may serve more: {reason}".rstrip(".")
+    assert run.steps["switching_why"].iloc[2] == words
+    assert run.steps["status"].iloc[2] == "gap_open"
 
 
 def test_an_operation_pays_its_price_and_a_day_has_so_many(tiny: Scenario) -> None:
