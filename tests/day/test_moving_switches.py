@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
 from vppres import InputError, RunOptions, run_day
@@ -77,6 +78,28 @@ def test_a_tie_of_three_phases_takes_over_behind_a_fault(tiny: Scenario) -> None
     assert "lowest voltage" in order[1] and "margin" in order[1]
     assert run.steps["v_error_pu"].max() < 1e-4
     assert run.nodes is not None and not run.nodes["v_ac_pu"].isna().any()
+
+
+@pytest.mark.daily
+def test_a_tie_of_an_unbalanced_feeder_takes_over_behind_a_fault(tmp_path: Path) -> None:
+    """The island behind the fault holds all but one, the grid over the tie everyone."""
+    day = day_of(CIRCUIT, tmp_path)
+    noon = day.grid.start.normalize() + 12 * HOUR
+    tie = Switches(["t"], ["r"], ["e"], ["tie"], [False], r_ohm=[0.3], x_ohm=[0.6])
+    fault = LineFault(noon, noon + 2 * HOUR, line="e")
+    day = replace(day, switches=tie, faults=(fault,)).between(11, 15)
+    day = replace(day, grid_limit_kw=np.full(4, np.inf))
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    still, moved = (run_day(day, replace(options, move_switches=on)) for on in (False, True))
+    assert (~still.by_step("customers", "served")).sum(axis=1).tolist() == [0, 1, 1, 0]
+    assert still.steps["former"].tolist() == ["", "be", "be", ""]
+    assert moved.customers["served"].all()
+    assert moved.steps["switched"].tolist() == ["", "closed t, opened m-e", "", ""]
+    assert (moved.steps["status"] == "optimal").all()
+    assert moved.steps["v_error_pu"].max() < 1e-4
+    assert moved.nodes is not None
+    net = day.network
+    assert moved.nodes["v_ac_pu"].between(net.v_min_ac_pu, net.v_max_ac_pu).all()
 
 
 def test_a_tie_that_lacks_a_phase_is_not_moved(tiny: Scenario) -> None:
