@@ -12,9 +12,11 @@ import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import fields, replace
-from functools import cache
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -139,23 +141,31 @@ COLUMNS = (
 
 
 def loops(folder: Path, names: list[str], days: list[str], kept: Path | None) -> str:
-    """The table with a row for each feeder and day: planned by phase, and as balanced equivalent.
+    """The table with rows for each feeder and day: planned by phase, and as balanced equivalent."""
+    runs = {
+        f"IEEE {name} | {day} | {plan}": partial(_tried, folder / FEEDERS[name], day, plan)
+        for name, day, plan in product(names, days, ("by phase", "balanced"))
+    }
+    return table_of(COLUMNS, runs, kept)
+
+
+def table_of(
+    columns: Sequence[str], runs: Mapping[str, Callable[[], str]], kept: Path | None
+) -> str:
+    """A table of runs, each with its first cells and what makes the others.
 
     Rows that a file of them has are not run again; those that are run are added to it.
     """
     rows = kept.read_text("utf-8").splitlines() if kept is not None and kept.is_file() else []
-    table = [f"| {' | '.join(COLUMNS)} |", "| --- " * len(COLUMNS) + "|"]
-    for name in names:
-        for day in days:
-            for plan in ("by phase", "balanced"):
-                key = f"| IEEE {name} | {day} | {plan} |"
-                row = next((each for each in rows if each.startswith(key)), None)
-                row = row or f"{key} {_tried(folder / FEEDERS[name], day, plan)} |"
-                say(row)
-                table.append(row)
-                if kept is not None and row not in rows:
-                    rows.append(row)
-                    kept.write_text("".join(f"{each}\n" for each in rows), "utf-8")
+    table = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
+    for key, cells in runs.items():
+        row = next((each for each in rows if each.startswith(f"| {key} |")), None)
+        row = row or f"| {key} | {cells()} |"
+        say(row)
+        table.append(row)
+        if kept is not None and row not in rows:
+            rows.append(row)
+            kept.write_text("".join(f"{each}\n" for each in rows), "utf-8")
     return "\n".join(table)
 
 

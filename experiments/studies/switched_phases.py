@@ -10,21 +10,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import fields, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from benchmarks.pages import put_table
-from experiments.studies.phases import FEEDERS, say, scenario_of
+from experiments.studies.phases import FEEDERS, LIMIT_S, scenario_of, table_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
-from vppres.day.trajectory import Trajectory
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
+from vppres.solve.result import SolveLimits
 
 BEGIN, END = "<!-- switched: begin -->", "<!-- switched: end -->"
 COLUMNS = (
@@ -67,8 +68,10 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
     return replace(day, switches=Switches(**both), faults=(fault,), grid_limit_kw=limit_kw)
 
 
-def row(run: Trajectory, line: str, outage: bool, moves: bool) -> str:
-    """A row of the table."""
+def row(day: Scenario, horizon_h: float, moves: bool) -> str:
+    """Cells of a day's run."""
+    limits = SolveLimits(time_s=LIMIT_S)
+    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves, limits=limits))
     day, steps = run.scenario, run.steps
     during = steps["lines_out"].ne("").to_numpy()
     supplied = run.by_step("customers", "served")[during] @ day.customers.weight
@@ -76,12 +79,9 @@ def row(run: Trajectory, line: str, outage: bool, moves: bool) -> str:
     off_h = float((~run.by_step("customers", "served").astype(bool)).sum() * day.grid.dt_h)
     moved = "; ".join(words for words in steps.get("switched", ()) if words) or "none"
     seconds = steps["solve_s"]
-    network = day.network
-    above = network.from_bus[network.bus_index[line] - 1]
     return (
-        f"| {above}-{line} | {'outage' if outage else 'grid'} | {'move' if moves else 'stay'} | "
         f"{share:.4f} | {off_h:.0f} | {moved} | {int((steps['status'] != 'optimal').sum())} | "
-        f"{steps['v_error_pu'].max():.1e} | {seconds.median():.1f}, {seconds.max():.1f} |"
+        f"{steps['v_error_pu'].max():.1e} | {seconds.median():.1f}, {seconds.max():.1f}"
     )
 
 
@@ -91,21 +91,19 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--lines", nargs="*", default=[*LINES])
     parser.add_argument("--horizon", type=float, default=5.0)
+    parser.add_argument("--rows", type=Path, help="file of the rows so far")
     parser.add_argument("--page", type=Path, help="page whose table is written anew")
     given = parser.parse_args()
-    table = [f"| {' | '.join(COLUMNS)} |", "| --- " * len(COLUMNS) + "|"]
     day = scenario_of(given.folder / FEEDERS["123"])
-    for line in given.lines:
-        for outage in (False, True):
-            for moves in (False, True):
-                began = time.monotonic()
-                options = RunOptions(horizon_h=given.horizon, move_switches=moves)
-                run = run_day(switched(day, line, outage), options)
-                table.append(row(run, line, outage, moves))
-                say(f"{table[-1]} {time.monotonic() - began:.0f} s")
-                say("\n".join(filter(None, run.steps.get("switching_why", pd.Series()).unique())))
+    runs = {}
+    for line, outage, moves in product(given.lines, (False, True), (False, True)):
+        above = day.network.from_bus[day.network.bus_index[line] - 1]
+        words = "outage" if outage else "grid", "move" if moves else "stay"
+        of_line = partial(row, switched(day, line, outage), given.horizon, moves)
+        runs[" | ".join((f"{above}-{line}", *words))] = of_line
+    table = table_of(COLUMNS, runs, given.rows)
     if given.page:
-        put_table(given.page, "\n".join(table), BEGIN, END)
+        put_table(given.page, table, BEGIN, END)
     return 0
 
 

@@ -9,12 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
-from vppres import Controller, InputError, RunOptions, read_run, run_day
+from vppres import InputError, RunOptions, read_run, run_day
+from vppres.control import switching
 from vppres.day.configured import configurations_of
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
+from vppres.feeders.reconfiguration.sequence import NO_MARGIN, SwitchingOrder
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
@@ -99,6 +102,28 @@ def test_a_tie_of_three_phases_takes_over_behind_a_fault(tiny: Scenario) -> None
     assert run.nodes is not None and not run.nodes["v_ac_pu"].isna().any()
 
 
+@pytest.mark.daily
+def test_a_tie_of_an_unbalanced_feeder_takes_over_behind_a_fault(tmp_path: Path) -> None:
+    """The island behind the fault holds all but one, the grid over the tie everyone."""
+    day = day_of(CIRCUIT, tmp_path)
+    noon = day.grid.start.normalize() + 12 * HOUR
+    tie = Switches(["t"], ["r"], ["e"], ["tie"], [False], r_ohm=[0.3], x_ohm=[0.6])
+    fault = LineFault(noon, noon + 2 * HOUR, line="e")
+    day = replace(day, switches=tie, faults=(fault,)).between(11, 15)
+    day = replace(day, grid_limit_kw=np.full(4, np.inf))
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    still, moved = (run_day(day, replace(options, move_switches=on)) for on in (False, True))
+    assert (~still.by_step("customers", "served")).sum(axis=1).tolist() == [0, 1, 1, 0]
+    assert still.steps["former"].tolist() == ["", "be", "be", ""]
+    assert moved.customers["served"].all()
+    assert moved.steps["switched"].tolist() == ["", "closed t, opened m-e", "", ""]
+    assert (moved.steps["status"] == "optimal").all()
+    assert moved.steps["v_error_pu"].max() < 1e-4
+    assert moved.nodes is not None
+    net = day.network
+    assert moved.nodes["v_ac_pu"].between(net.v_min_ac_pu, net.v_max_ac_pu).all()
+
+
 def test_a_tie_that_lacks_a_phase_is_not_moved(tiny: Scenario) -> None:
     day = three_phases(with_fault(tiny, ties((3, 4)), line=4))
     out = day.out_of_service(range(1))
@@ -148,7 +173,25 @@ def test_two_live_parts_are_joined_only_by_a_switch_that_compares_them(tiny: Sce
         day = with_fault(replace(tiny, batteries=stores), ties((3, 4), sync_check=[check]), line=4)
         run = run_day(replace(day, faults=(alone,)), replace(MOVING, horizon_h=0.0), steps=2)
         assert run.customers[run.customers["id"] == "homes"]["served"].tolist() == [True, check]
+        why = "no way leads to switches that may serve more: 3-4 joins two live parts, and has"
+        assert check or run.steps["switching_why"].iloc[1] == f"{why} no sync_check"
     assert run.steps["switched"].tolist() == ["", "closed 3-4, opened 2-4"]
+
+
+def test_words_say_why_no_order_leads_to_what_would_serve_more(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A state in between that is beyond its limits does not say that no switch would serve more."""
+    reason = "No order keeps the rules in every state: open 2-4 (highest voltage 1.084 pu)."
+    none = SwitchingOrder(None, reason, True, NO_MARGIN)
+    monkeypatch.setattr(switching, "safe_order", lambda *_: none)
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
+    run = run_day(day, MOVING, steps=3)
+    assert (run.steps["switched"] == "").all()
+    words = f"no way leads to switches that may serve more: {reason}".rstrip(".")
+    assert run.steps["switching_why"].iloc[2] == words
+    assert run.steps["status"].iloc[2] == "gap_open"
 
 
 def test_an_operation_pays_its_price_and_a_day_has_so_many(tiny: Scenario) -> None:
@@ -239,8 +282,6 @@ def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:
     day = with_fault(tiny, ties((3, 4)), line=4)
     with pytest.raises(InputError, match="are not moved by full-horizon"):
         run_day(day, replace(MOVING, controller="full-horizon"))
-    with pytest.raises(InputError, match="is not for live feeders with phases"):
-        Controller.of(three_phases(replace(day, faults=())), replace(MOVING, mode="physical"))
 
 
 def packaged_day_with_fault(folder: Path) -> Scenario:

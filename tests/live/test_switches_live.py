@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.switched import switched_day
 from tests.support.switching_service import switched
+from tests.support.three_phases import three_phases
 from tests.support.tiny_day import tiny_scenario
 from vppres import Controller, Measurement, RunOptions, run_day
 from vppres.core.errors import InputError
@@ -37,9 +38,13 @@ def stepped(day: Scenario, controller: Controller, t: int, **read: object) -> Se
     return controller.step(Measurement(day.grid.times[t], soc, **read))
 
 
-@pytest.mark.parametrize("mode", ["paper", "physical"])
+@pytest.mark.parametrize(
+    "mode", ["paper", "physical", pytest.param("by phase", marks=pytest.mark.daily)]
+)
 def test_a_tie_that_is_read_as_closed_supplies_what_a_fault_cut_off(mode: str) -> None:
     day = out_of_2_3()
+    if mode == "by phase":
+        day, mode = three_phases(day), "physical"
     options = replace(PAPER, mode=mode)
     controller = Controller.of(day, options)
     assert stepped(day, controller, 0).switches_open == ("t",)
@@ -66,12 +71,25 @@ def test_a_tie_that_is_read_as_closed_supplies_what_a_fault_cut_off(mode: str) -
 @pytest.mark.parametrize("seed", [1, 2, 4, 5, 7, 9, 11, 13, 15, 16, 17, 18])
 def test_a_controller_decides_as_the_day_in_which_the_switches_move(seed: int) -> None:
     """With what the simulated day switched as readings, each step is planned as it was there."""
+    check_decided_as_there(switched_day(seed), PAPER)
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", [2, 5])
+def test_a_controller_decides_by_phase_as_the_day_in_which_the_switches_move(seed: int) -> None:
     day = switched_day(seed)
-    run = run_day(day, replace(PAPER, move_switches=True))
+    wide = replace(day.batteries, s_max_kva=np.full(len(day.batteries), 600.0))
+    day = three_phases(replace(day, batteries=wide))
+    check_decided_as_there(day, replace(PAPER, mode="physical"))
+
+
+def check_decided_as_there(day: Scenario, options: RunOptions) -> None:
+    """A live controller's customers and voltages, step by step, against those of the day."""
+    run = run_day(day, replace(options, move_switches=True))
     closed = configurations_of(run)
     if closed is None or run.steps["switching_ahead"].any():
         pytest.skip("no switch moves, or a plan counts on one that moves later")
-    branches, live = Branches.of(day), Controller.of(day, PAPER)
+    branches, live = Branches.of(day), Controller.of(day, options)
     soc = run.by_step("batteries", "soc_start")
     for t, now in enumerate(closed):
         held = dict(zip(day.batteries.id, soc[t], strict=True))
@@ -80,7 +98,7 @@ def test_a_controller_decides_as_the_day_in_which_the_switches_move(seed: int) -
         assert points.customers["served"].tolist() == served.tolist()
         v_pu = run.by_step("buses", "v_ac_pu")[t]
         np.testing.assert_allclose(points.buses["v_ac_pu"], v_pu, atol=1e-9)
-        live = Controller.of(day, PAPER, state=json.loads(live.saved()))
+        live = Controller.of(day, options, state=json.loads(live.saved()))
 
 
 def test_a_switch_that_closes_a_loop_is_named_and_left_open_in_the_plan() -> None:
@@ -113,9 +131,10 @@ def test_where_no_switch_moves_a_site_with_switches_is_planned_as_one_without() 
         pd.testing.assert_frame_equal(ours.buses, theirs.buses)
 
 
-def test_what_a_switch_would_serve_is_proposed_and_gone_once_it_is_closed() -> None:
-    day = out_of_2_3()
-    options = replace(PAPER, move_switches=True)
+@pytest.mark.parametrize("by_phase", [False, pytest.param(True, marks=pytest.mark.daily)])
+def test_what_a_switch_would_serve_is_proposed_and_gone_once_it_is_closed(by_phase: bool) -> None:
+    day = three_phases(out_of_2_3()) if by_phase else out_of_2_3()
+    options = replace(PAPER, mode="physical" if by_phase else "paper", move_switches=True)
     controller = Controller.of(day, options)
     waits = stepped(day, controller, 0).proposal  # the fault of the next step is known
     assert (waits.closed, waits.operations) == ({}, "closed t, opened s")
@@ -131,4 +150,5 @@ def test_what_a_switch_would_serve_is_proposed_and_gone_once_it_is_closed() -> N
     assert done.customers["served"].all()
     assert (done.proposal.operations, done.proposal.why) == ("", "all customers are served")
     # A service may be started again with the option, or without it.
-    assert stepped(day, Controller.of(day, PAPER, state=saved), 2).proposal.why == ""
+    plain = replace(options, move_switches=False)
+    assert stepped(day, Controller.of(day, plain, state=saved), 2).proposal.why == ""

@@ -22,6 +22,7 @@ from tests.support.page_words import NODE, said_by
 from tests.support.switching_service import confirm, read, switched, want
 from tests.support.three_phases import three_phases
 from vppres.model.site import Site
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 from vppres.service.clock import SetClock, written
@@ -218,18 +219,34 @@ def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Pat
         assert http.get("/v1/switching").json()["status"] == "none"
 
 
-def test_switches_of_feeders_with_phases_are_refused(tmp_path: Path) -> None:
+def test_what_is_not_known_by_phase_is_refused(tmp_path: Path) -> None:
+    """A tie that lacks a phase is left open in plans, and is in no order of operations."""
     day = three_phases(switched())
+    bare = [replace(row, phases="a" if row.at == 4 else row.phases) for row in day.phases.buses]
+    lines = [row for row in day.phases.lines if row.to_bus != "4"]
+    line = next(row for row in day.phases.lines if row.to_bus == "4")
+    z_ohm = np.where(np.eye(3) * [1, 0, 0], line.z_ohm, np.nan)
+    lines.append(replace(line, z_ohm=z_ohm))
+    on_a = [replace(row, coils="a") if row.bus == "4" else row for row in day.phases.connections]
+    day = replace(day, phases=Phases(tuple(bare), tuple(lines), connections=tuple(on_a)))
     options = replace(HERE, mode="physical")
     with asked(Service(day, options, paced=True), tmp_path / "db", SetClock(NOON)) as http:
-        assert http.get("/v1/switching").json()["status"] == "none"
-        plan = http.post("/v1/steps").json()
         read(http, SetClock(NOON), s=0, t=1)
-        # Plans keep the lines of the folder, and are not made anew for each reading.
-        assert "switches_open" not in plan
+        plan = http.post("/v1/steps").json()
+        assert plan["switches_open"] == ["s", "t"]
+        assert "t lacks a phase, and is open in the plan" in plan["estimated"]
         assert "unaware_of" not in http.get("/v1/plan").json()
-        assert http.get("/v1/switching").json()["unlike_plans"] == ["s", "t"]
-        assert "keeps its phases" in want(http, s=True).content.decode()
+        refused = want(http, s=True).content.decode()
+        assert "t is closed or would be, and has not all three phases" in refused
+
+
+def test_higher_demand_after_an_outage_is_not_known_by_phase(tmp_path: Path) -> None:
+    day = three_phases(switched())
+    day = replace(day, switching=replace(day.switching, cold_load_factor=1.5))
+    options = replace(HERE, mode="physical")
+    with asked(Service(day, options, paced=True), tmp_path / "db", SetClock(NOON)) as http:
+        read(http, SetClock(NOON), t=0, s=1)
+        assert "is not known by phase" in want(http, t=True, s=False).content.decode()
 
 
 @pytest.mark.daily
@@ -256,6 +273,14 @@ def test_a_service_killed_between_two_operations_goes_on_from_what_is_read(
         assert decided(http, clock, NOON + HOUR)["switches_open"] == ["s"]
 
 
+def site_of(mode: str, **options: Any) -> Service:
+    """The service of the feeder with two switches in a mode, or with three equal phases."""
+    by_phase = mode == "by phase"
+    day = three_phases(switched()) if by_phase else switched()
+    mode = "physical" if by_phase else mode
+    return Service(day, replace(HERE, mode=mode, **options), paced=True)
+
+
 def the_shop(plan: dict[str, Any]) -> dict[str, Any]:
     return said(plan, "customers")["shop"]
 
@@ -272,9 +297,11 @@ def out(http: Caller, line: str) -> None:
     assert http.put("/v1/events/digger", fault).status == 201
 
 
-@pytest.mark.parametrize("mode", ["paper", "physical"])
+@pytest.mark.parametrize(
+    "mode", ["paper", "physical", pytest.param("by phase", marks=pytest.mark.daily)]
+)
 def test_plans_are_of_the_feeder_as_its_switches_are_read(tmp_path: Path, mode: str) -> None:
-    service = Service(switched(), replace(HERE, mode=mode), paced=True)
+    service = site_of(mode)
     clock = SetClock(NOON)
     with serving(service, tmp_path / "db", clock) as (http, runner):
         read(http, clock, t=0, s=1)
@@ -323,8 +350,9 @@ def test_plans_are_of_the_feeder_as_its_switches_are_read(tmp_path: Path, mode: 
     assert served[:, 1].all()
 
 
-def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path) -> None:
-    service = Service(switched(), replace(HERE, move_switches=True), paced=True)
+@pytest.mark.parametrize("mode", ["paper", pytest.param("by phase", marks=pytest.mark.daily)])
+def test_what_a_plan_proposes_is_asked_for_and_carried_out(tmp_path: Path, mode: str) -> None:
+    service = site_of(mode, move_switches=True)
     with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
         read(http, runner.clock, t=0, s=1)
         out(http, "3")

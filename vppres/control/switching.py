@@ -48,6 +48,8 @@ WHOLE = 1.0 - 1e-6
 
 NO_SWITCH = "no switch would serve more"
 NOT_FOUND = "no switch that serves more was found"
+JOINS_LIVE = "{} joins two live parts, and has no sync_check"
+NO_WAY = "no way leads to switches that may serve more: {}"
 ALL_SERVED = "all customers are served"
 
 
@@ -61,6 +63,7 @@ class Planned:
     memory: dict[str, Any] = field(default_factory=dict)
     waits: bool = False
     order: tuple[str, ...] = ()
+    barred: str = ""  #: why no order of operations leads there
 
     @property
     def bound(self) -> float:
@@ -251,8 +254,8 @@ class Switching(InConfiguration):
         done = np.sum(recent, axis=0) if recent else np.zeros(len(self.branches))
         return np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
 
-    def may_be_joined(self, candidate: Reached, sources: Wholes) -> bool:
-        """Whether no two live parts are joined but by a switch that can compare both sides."""
+    def barred(self, candidate: Reached, sources: Wholes) -> str:
+        """Name of a switch that joins two live parts and cannot compare both sides, or nothing."""
         live = sources.copy()
         kept = np.flatnonzero(candidate.closed & self.closed)
         closing = np.flatnonzero(candidate.closed & ~self.closed)
@@ -262,10 +265,10 @@ class Switching(InConfiguration):
             one, other = block[self.branches.ends[branch]]
             joined = live[one] >= 0 and live[other] >= 0 and live[one] != live[other]
             if joined and branch in closing and not check[branch]:
-                return False
+                return str(self.branches.names[branch])
             live[one] = max(live[one], live[other])
             block[block == other] = one
-        return True
+        return ""
 
     def sources(self, begin: Begin) -> Wholes:
         """Number of the live part of each bus before operations, -1 in a dead one."""
@@ -294,8 +297,8 @@ class Switching(InConfiguration):
 
     def carried(
         self, observation: Observation, found: Planned, stay: Planned, begin: Begin
-    ) -> Planned | None:
-        """The plan with the order of its operations, or with the word that they wait; None if not.
+    ) -> Planned:
+        """The plan with the order of its operations, or why there is none, or that they wait.
 
         They wait where the parts of the first step are those of the present configuration, and its
         lines and voltages carry the step.
@@ -310,7 +313,7 @@ class Switching(InConfiguration):
         feeder = self._feeder(observation, found, begin.out, not begin.live.any())
         order = safe_order(feeder, self.closed, found.candidate.closed)
         if order.operations is None:
-            return None
+            return replace(found, barred=order.reason)
         return replace(found, order=tuple(one.sentence for one in order.operations))
 
     def _as_it_is(self, observation: Observation, found: Planned) -> bool:
@@ -482,6 +485,7 @@ class Search:
         self._sources = of.sources(begin)
         self._known: list[tuple[Wholes, float]] = []
         self._last_plan_s = 0.0
+        self._no_way = ""
 
     @property
     def _gap(self) -> float:
@@ -511,7 +515,11 @@ class Search:
             if self._nothing_joined_is_better(reach):
                 complete = True
                 break
-        why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
+        why = NO_SWITCH if complete else NOT_FOUND
+        if self._no_way:
+            why = NO_WAY.format(self._no_way)
+        if self.best is not self.stay:
+            why = ""
         self.record = replace(self.record, configurations=len(reach.found), why=why)
         if not complete:
             self.bound = self.most
@@ -543,7 +551,8 @@ class Search:
         for way in group:
             if self.beaten(bound - price):
                 break
-            if not self._of.may_be_joined(way, self._sources):
+            if switch := self._of.barred(way, self._sources):
+                self._no_way = self._no_way or JOINS_LIVE.format(switch)
                 continue
             left_s = self.deadline.left_s
             if left_s <= self._last_plan_s:  # the next would hardly end in time
@@ -565,7 +574,10 @@ class Search:
         """Take a plan for the best, if it is and its operations have an order."""
         if planned.score > self.best.score + self._gap:
             found = self._of.carried(self._observation, planned, self.stay, self._begin)
-            self.best = found or self.best
+            if found.barred:
+                self._no_way = self._no_way or found.barred.rstrip(".")
+            else:
+                self.best = found
 
     def certified(self) -> Decision:
         """The best decision, with a bound over all configurations, and the time of the search."""

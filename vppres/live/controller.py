@@ -13,7 +13,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError, SolveError, VppresError
+from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
@@ -115,9 +115,6 @@ class Controller:
         SolverLostError
             If the solver process does not start.
         """
-        if options is not None and options.move_switches and scenario.phases:
-            message, cure = "is not for live feeders with phases", "Leave it out."
-            raise InputError.of("options", message, cure, field="move_switches")
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )

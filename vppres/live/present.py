@@ -27,9 +27,6 @@ from vppres.plant.plant import BatteryState
 from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.scenario import Scenario
 
-LOOPED = "{} closes a loop, and is open in the plan"
-"""How ``estimated`` names a switch without which a plan is made."""
-
 
 @dataclass(frozen=True, eq=False)
 class GivenFirst:
@@ -64,7 +61,7 @@ class Present:
 
     ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
     the first; the decision may rest on all that are ``ahead``. Lines and ties that are ``closed``,
-    (E,), have no loop; ``looped`` are switches that would close one. ``ends``: what is known ends
+    (E,), have no loop; ``left_open`` says why others are not. ``ends``: what is known ends
     with the window. Duties and the units of each kind are those of its beginning.
     """
 
@@ -80,7 +77,7 @@ class Present:
     options: RunOptions
     past_days: dict[str, Any]
     closed: Flags
-    looped: tuple[str, ...]
+    left_open: tuple[str, ...]
 
     @classmethod
     def of(
@@ -106,7 +103,7 @@ class Present:
         branches = Branches.of(now)
         read = everything.closed if now.follows_switches else {}
         out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
-        closed, looped = branches.with_states(read, past.closed, out)
+        closed, left_open = branches.with_states(read, past.closed, out)
         return cls(
             t=t,
             seen=seen,
@@ -123,7 +120,7 @@ class Present:
             options=options,
             past_days=past_days,
             closed=closed,
-            looped=looped,
+            left_open=left_open,
         )
 
     def observation(self, view: OutageView) -> Observation:
@@ -181,8 +178,7 @@ class Present:
     @property
     def estimated(self) -> tuple[str, ...]:
         """Readings of all kinds that are missing or frozen, and switches left out, in words."""
-        loops = map(LOOPED.format, self.looped)
-        return (*loops, *(words for now in self.kinds.values() for words in now.estimated))
+        return (*self.left_open, *(words for now in self.kinds.values() for words in now.estimated))
 
     def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.

@@ -23,6 +23,11 @@ from vppres.scenario.phases import BALANCED, PHASES, PhaseBus, PhaseLine, Phases
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import OF_THE_LINE, SWITCH_DEFAULTS, Switches
 
+LOOPED = "{} closes a loop, and is open in the plan"
+LACKS_A_PHASE = "{} lacks a phase, and is open in the plan"
+LEFT_OPEN = (LOOPED, LACKS_A_PHASE)
+"""Why a switch that is closed is open in a plan, by its name."""
+
 
 @dataclass(frozen=True, eq=False)
 class Branches:
@@ -144,9 +149,15 @@ class Branches:
         unlocked = np.append(switches.locked == "", True)[self.switch]
         ratio = np.append(net.ratio != 1.0, np.zeros(len(self.ties), dtype=bool))
         found = (able | (opened & unlocked)) & ~ratio
+        return np.asarray(found & self.can_close)
+
+    @cached_property
+    def can_close(self) -> Flags:
+        """Branches that a plan can have closed, (E,): all but ties that lack a phase."""
+        found = np.ones(len(self), dtype=bool)
         if self.phases:
-            found[net.n_lines :] &= [ends is not None for ends in self.tie_ends]
-        return np.asarray(found)
+            found[self.network.n_lines :] = [ends is not None for ends in self.tie_ends]
+        return found
 
     @cached_property
     def tie_ends(self) -> list[tuple[PhaseBus, PhaseBus] | None]:
@@ -191,7 +202,8 @@ class Branches:
         """The configuration in which the switches are as they are read, the others as before.
 
         It has no loop, for a loop has no plan: of what would close one a line that is out is left
-        open, or else what has closed last. A line without a switch is closed otherwise.
+        open, or else what has closed last. A line without a switch is closed otherwise. Nor is a
+        tie closed there that lacks a phase.
 
         Parameters
         ----------
@@ -207,7 +219,7 @@ class Branches:
         array of bool, shape (E,)
             Branches that are closed.
         tuple of str
-            Names of those that carry and are left open for a loop.
+            Why those that carry are left open, in words.
 
         Examples
         --------
@@ -218,11 +230,13 @@ class Branches:
         """
         states = self.states(before) | dict(read)
         switched = [states.get(name, True) for name in self.names]
-        closed = np.where(self.switch >= 0, switched, True)
+        read_closed = np.where(self.switch >= 0, switched, True)
+        closed = read_closed & self.can_close
         order = np.lexsort((~before, out))
         joins, _ = forest(self.ends, order[closed[order]], self.network.n_buses)
-        looped = np.flatnonzero(closed & ~joins & ~out)
-        return joins, tuple(self.names[branch] for branch in looped)
+        left = [(LOOPED, closed & ~joins & ~out), (LACKS_A_PHASE, read_closed & ~self.can_close)]
+        words = [why.format(self.names[i]) for why, which in left for i in np.flatnonzero(which)]
+        return joins, tuple(words)
 
     def states(self, closed: Flags) -> dict[str, bool]:
         """Whether each switch is closed in a configuration, by its name."""

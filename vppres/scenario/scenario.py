@@ -210,8 +210,8 @@ class Scenario(OfKinds):
 
     @property
     def follows_switches(self) -> bool:
-        """Whether live plans are of the feeder as its switches are read; not yet with phases."""
-        return bool(len(self.switches)) and not self.phases
+        """Whether live plans are of the feeder as its switches are read."""
+        return bool(len(self.switches))
 
     @property
     def formers(self) -> Flags:

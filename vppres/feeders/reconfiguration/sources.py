@@ -12,6 +12,7 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.text import iso
 from vppres.feeders.new.low_voltage import limits_of
+from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.folder import injection_at, step_of
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration, ConfigurationLimits
@@ -23,6 +24,7 @@ from vppres.feeders.reconfiguration.sequence import (
 )
 from vppres.feeders.sources import import_network
 from vppres.io.times import option_time
+from vppres.physics.phased_sources import assets_of, drawn_uncontrolled
 from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.formers import forming_batteries, named_units
 from vppres.scenario.network import Network
@@ -140,12 +142,16 @@ def feeder_of_scenario(
 
 
 def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str, Any]:
-    """Faults and cold load of a step, devices that can hold islands, customers of each bus."""
+    """Faults and cold load of a step, devices that can hold islands, customers of each bus.
+
+    With phases also the power flow of its states.
+    """
     net, customers = day.network, day.customers
     out = day.out_of_service(range(step, step + 1))
+    formers = _at_rest(day, soc)
     found: dict[str, Any] = {
         "customers": customers.by_bus,
-        "formers": _at_rest(day, soc),
+        "formers": formers,
         "faulted": out_of_branches(out, Branches.of(day).ends)[0],
         "bus_out": out.buses[0],
     }
@@ -153,6 +159,10 @@ def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str,
         more = (day.switching.cold_load_factor - 1.0) * net.place(customers.bus)
         found["cold_kw"] = more @ day.load_kw[step]
         found["cold_kvar"] = more @ day.load_kvar[step]
+    if day.phases:
+        series = day.load_kw[step], day.load_kvar[step], day.pv_kw[step]
+        drawn = drawn_uncontrolled(*series, len(assets_of(day)))
+        found["by_phase"] = FlowInStates(day, map(str, formers.id), *drawn)
     return found
 
 

@@ -16,6 +16,8 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
+from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
@@ -25,9 +27,11 @@ from vppres.feeders.reconfiguration.sequence import (
     SwitchingOrder,
     safe_order,
 )
-from vppres.feeders.reconfiguration.sources import KEEPS_PHASES, of_the_day
+from vppres.feeders.reconfiguration.sources import of_the_day
 from vppres.io.messages import did_you_mean
 from vppres.kinds.table import KINDS, units_of
+from vppres.physics.phased_sources import buses_of
+from vppres.scenario.configuration import Branches
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 
@@ -36,6 +40,9 @@ SWITCHING = "switching"
 
 GRACE = pd.Timedelta(minutes=5)
 """Time that telemetry has beyond the minutes that an operation takes."""
+
+COLD = "The higher demand of those who come back is not known by phase."
+LACKING = "{} is closed or would be, and has not all three phases at both ends."
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +97,13 @@ class Switchgear:
         given = of_the_day(self.step, 0, self.soc)
         injection = injection_at(self.step, 0)
         if not self.has_grid:
-            injection = injection_told(self.step, self.set_points)
+            drawn = drawn_told(self.step, self.set_points)
+            at_bus = net.place(buses_of(self.step))
+            injection = -at_bus @ drawn[0], -at_bus @ drawn[1]
             formers = given["formers"] if self.is_lit else Formers.none()
             given["formers"] = _as_told(formers, self.set_points)
+            if self.step.phases:
+                given["by_phase"] = FlowInStates(self.step, map(str, formers.id), *drawn)
         return SwitchedFeeder(
             net, self.step.switches, *injection, limits, grid=self.source, **given
         )
@@ -126,8 +137,6 @@ class Switchgear:
         InputError
             If a switch is unknown or has no reading, or there is no order of operations.
         """
-        if self.step.phases:
-            raise InputError.of("switching", KEEPS_PHASES, "Operate its switches by hand.")
         known = [str(name) for name in self.step.switches.id]
         problems = []
         for name in self.asked["closed"]:
@@ -149,7 +158,18 @@ class Switchgear:
         """Why no operation may be carried out; empty if one may."""
         if not self._wanted:
             return ""
-        return self.order.reason
+        return self._not_by_phase or self.order.reason
+
+    @property
+    def _not_by_phase(self) -> str:
+        """Why no state of a feeder with phases is known; empty where it is."""
+        if self.step.phases and self.step.switching.cold:
+            return COLD
+        branches = Branches.of(self.step)
+        closed = {name for states in (self.read, self._wanted) for name in states if states[name]}
+        lacks = branches.states(~branches.can_close)
+        lacking = [name for name in lacks if lacks[name] and name in closed]
+        return LACKING.format(named(lacking)) if lacking else ""
 
     @property
     def next(self) -> Operation | None:
@@ -230,14 +250,13 @@ class Switchgear:
         }
 
 
-def injection_told(
-    step: Scenario, set_points: Sequence[Mapping[str, Any]]
-) -> tuple[Floats, Floats]:
-    """Net injection of every bus by set-points in kW and kvar, (N,) each.
+def drawn_told(step: Scenario, set_points: Sequence[Mapping[str, Any]]) -> tuple[Floats, Floats]:
+    """Power that each device draws by set-points in kW and kvar, (D,) each.
 
-    Customers that are on draw what is measured; PV systems give no more than there is.
+    Customers that are on draw what is measured, as those that are not told; PV systems give no
+    more than there is; all others rest where they are not told.
     """
-    net, c, pv = step.network, step.customers, step.pv
+    c, pv, batteries = step.customers, step.pv, step.batteries
     told = {(one["kind"], one["asset"]): one for one in set_points}
 
     def values(kind: str, ids: Names, field: str, otherwise: float) -> Floats:
@@ -245,18 +264,18 @@ def injection_told(
         return np.array([otherwise if one is None else one for one in found], dtype=float)
 
     on = values("customers", c.id, "served", 1.0) * values("customers", c.id, "share", 1.0)
-    p_kw = -net.place(c.bus) @ (on * step.load_kw[0])
-    q_kvar = -net.place(c.bus) @ (on * step.load_kvar[0])
-    at_pv, at_batteries = net.place(pv.buses(c)), net.place(step.batteries.bus)
-    p_kw += at_pv @ np.minimum(values("pv", pv.id, "p_kw", np.inf), step.pv_kw[0])
-    q_kvar += at_pv @ values("pv", pv.id, "q_kvar", 0.0)
-    p_kw -= at_batteries @ values("batteries", step.batteries.id, "p_kw", 0.0)
-    q_kvar += at_batteries @ values("batteries", step.batteries.id, "q_kvar", 0.0)
-    for kind in units_of(step):
-        units = getattr(step, kind)
-        given_kw = net.place(units.buses(c)) @ values(kind, units.id, "p_kw", 0.0)
-        p_kw += given_kw if KINDS[kind].gives else -given_kw
-    return p_kw, q_kvar
+    sun_kw = np.minimum(values("pv", pv.id, "p_kw", np.inf), step.pv_kw[0])
+    p_kw = [on * step.load_kw[0], -sun_kw, values("batteries", batteries.id, "p_kw", 0.0)]
+    q_kvar = [
+        on * step.load_kvar[0],
+        -values("pv", pv.id, "q_kvar", 0.0),
+        values("batteries", batteries.id, "q_kvar", 0.0),
+    ]
+    for kind, units in units_of(step).items():
+        sign = -1.0 if KINDS[kind].gives else 1.0
+        p_kw.append(sign * values(kind, units.id, "p_kw", 0.0))
+        q_kvar.append(sign * values(kind, units.id, "q_kvar", 0.0))
+    return np.concatenate(p_kw), np.concatenate(q_kvar)
 
 
 def _as_told(formers: Formers, set_points: Sequence[Mapping[str, Any]]) -> Formers:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from vppres.contract.decision import OUT
 from vppres.day.trajectory import SWITCHES_OPEN
-from vppres.live.present import LOOPED
+from vppres.scenario.configuration import LEFT_OPEN
 from vppres.service.clock import written
 from vppres.service.of_kind import every
 from vppres.service.storage.records import Reading, moment
@@ -137,10 +137,10 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
             words = f"battery {one.asset} is heard" if out else ""
             words = f"customer {one.asset} is heard" if lost else words
         elif one.quantity == CLOSED and one.known and SWITCHES_OPEN in plan:
-            looped = LOOPED.format(one.asset) in plan.get("estimated", ())
+            left = any(why.format(one.asset) in plan.get("estimated", ()) for why in LEFT_OPEN)
             unlike = (one.value == 1.0) == (one.asset in plan[SWITCHES_OPEN])
             state = "closed" if one.value else "open"
-            words = f"{one.asset} is {state} ({one.source})" if unlike and not looped else ""
+            words = f"{one.asset} is {state} ({one.source})" if unlike and not left else ""
         elif grid and one.quantity == GRID_ON and one.known:
             change = "grid back" if one.value else GRID_LOST
             differs = (one.value == 1.0) != grid["available"]
