@@ -128,29 +128,16 @@ class SetPoints(SetPointsOfKinds):
         scenario: Scenario,
         step: StepRecord,
         foreseen: Foreseen,
-        after: SwitchingState | None = None,
-        kinds: Mapping[str, UnitsNow] | None = None,
-        switches_open: tuple[str, ...] = (),
-        proposal: Proposal | None = None,
+        after: SwitchingState | None,
+        kinds: Mapping[str, UnitsNow],
+        switches_open: tuple[str, ...],
+        proposal: Proposal,
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            The site, with what is taken for true of the step.
-        step : StepRecord
-            What the decision should lead to.
-        foreseen : Foreseen
-            The rest of its plan.
-        after : SwitchingState, optional
-            Who is off and for how long after the step.
-        kinds : mapping, optional
-            Units as the step found them, by kind.
-        switches_open : tuple of str, optional
-            Lines and ties that are open.
-        proposal : Proposal, optional
-            Switches to move.
+        ``scenario`` is the site with what is taken for true of the step, and ``step`` what the
+        decision should lead to; ``after`` has switching duties after it, and ``kinds`` the units of
+        each kind as the step found them.
         """
         off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
@@ -172,8 +159,8 @@ class SetPoints(SetPointsOfKinds):
             by_phase=ByPhase.of(scenario, step),
             lines_out=tuple(scenario.out_of_service(range(1)).names(scenario.network, 0)),
             switches_open=switches_open,
-            proposal=proposal or Proposal(),
-            **_of_kinds(scenario, step, kinds or {}),
+            proposal=proposal,
+            **_of_kinds(scenario, step, kinds),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
