@@ -130,15 +130,7 @@ class Own:
 
 
 class WellFormed:
-    """A controller of your own whose decisions have the site's arrays, with numbers alone.
-
-    Parameters
-    ----------
-    inner : Decider
-        The controller.
-    site : Site
-        Whose set-points it decides.
-    """
+    """A controller of your own whose decisions have the site's arrays, with numbers alone."""
 
     def __init__(self, inner: Decider, site: Site) -> None:
         self.inner = inner
@@ -171,17 +163,7 @@ class WellFormed:
 
 
 class ByStepWeights:
-    """A controller whose customers have other weights from step to step.
-
-    Parameters
-    ----------
-    controllers : ByWeight
-        Decides with the weights of a step.
-    own : Own
-        Has the weights.
-    weight : array, shape (C,)
-        Those before the first step.
-    """
+    """A controller whose customers have other weights from step to step."""
 
     def __init__(self, controllers: ByWeight, own: Own, weight: Floats) -> None:
         self._controllers = controllers
