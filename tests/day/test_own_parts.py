@@ -94,9 +94,6 @@ def test_a_forecaster_of_ones_own_is_asked_for_what_comes(tiny: Scenario) -> Non
     # Of what was measured by then, and nothing later; the last step has nothing ahead.
     assert seen == list(range(1, tiny.grid.n_steps))
     assert run.options["own"]["forecaster"].endswith("Nothing")
-    paper = replace(HERE, errors=vppres.ForecastErrors(load_bias=0.1))
-    with pytest.raises(vppres.InputError, match="forecaster: makes its own errors"):
-        vppres.run_day(tiny, paper, forecaster=Nothing())
 
 
 @pytest.mark.parametrize("priority", ["weights", "strict"])
@@ -137,14 +134,6 @@ def test_what_a_controller_remembers_goes_on_with_other_weights(
     assert before == [False, *[True] * (tiny.grid.n_steps - 1)]
 
 
-@pytest.mark.parametrize(
-    "row", [[1.0, 2.0], [1.0, 2.0, 0.0], [1.0, 2.0, np.nan], [[1.0, 2.0, 3.0]]]
-)
-def test_what_are_no_weights_is_refused(tiny: Scenario, row: Any) -> None:
-    with pytest.raises(vppres.InputError, match="weights of step 0: must be 3 numbers above 0"):
-        vppres.run_day(tiny, HERE, weights=lambda _: row)
-
-
 class Incomplete:
     def __init__(self, site: object = None) -> None:
         self.site = site
@@ -156,29 +145,31 @@ class Incomplete:
         return LoadAndPV(issued_at, history.step_minutes, history.load_kw, history.pv_kw)
 
 
-@pytest.mark.parametrize(("part", "words"), [
-    ({"controller": Incomplete()}, "controller = .*Give the class"),
-    ({"controller": Incomplete}, "controller = .*lacks the method decide"),
-    ({"forecaster": Incomplete}, "forecaster = .*Give an object"),
-    ({"forecaster": Incomplete()}, r"load_kw = \(\d, 3\): must have the shape \(paths, 1, 3\)"),
-    ({"forecaster": object()}, "forecaster = .*must have a method forecast"),
-])  # fmt: skip
-def test_what_is_no_controller_or_forecaster_is_refused(
-    tiny: Scenario, part: dict[str, Any], words: str
-) -> None:
-    with pytest.raises(vppres.InputError, match=words):
-        vppres.run_day(tiny, HERE, **part)
+ONCE = np.ones(3)
 
 
-@pytest.mark.parametrize(("option", "words"), [
-    ({"rotation": 0.2}, "Leave out the weights, or rotation"),
-    ({"controller": "full-horizon"}, "are for the controller mpc"),
+@pytest.mark.parametrize(("part", "options", "words"), [
+    ({"controller": Incomplete()}, {}, "run_day, controller = .*Give the class"),
+    ({"controller": Incomplete}, {}, "run_day, controller = .*lacks the method decide"),
+    ({"controller": Incomplete}, {"move_switches": True}, "controller = .*leaves the switches as they"),
+    ({"forecaster": Incomplete}, {}, "forecaster = .*Give an object"),
+    ({"forecaster": Incomplete()}, {}, r"load_kw = \(\d, 3\): must have the shape \(paths, 1, 3\)"),
+    ({"forecaster": object()}, {}, "forecaster = .*must have a method forecast"),
+    ({"forecaster": Incomplete()}, {"errors": vppres.ForecastErrors(load_bias=0.1)},
+        "run_day, forecaster: makes its own errors"),
+    ({"weights": ONCE}, {"rotation": 0.2}, "run_day, weights: .*Leave out the weights, or rotation"),
+    ({"weights": ONCE}, {"controller": "full-horizon"}, "run_day, weights: are for the controller mpc"),
+    ({"weights": ONCE, "controller": Incomplete}, {}, "run_day, weights: are for the controller mpc"),
+    ({"weights": "critical"}, {}, "weights of step 0: must be 3 numbers above 0"),
+    ({"weights": [[1.0, 1.0, 1.0]]}, {}, "weights of step 1: must be 3 numbers above 0"),
+    *(({"weights": lambda _, row=row: row}, {}, "weights of step 0: must be 3 numbers above 0")
+        for row in ([1.0, 2.0], [1.0, 2.0, 0.0], [1.0, 2.0, np.nan], [[1.0, 2.0, 3.0]])),
 ])  # fmt: skip
-def test_weights_of_every_step_are_for_plans_that_share_nothing(
-    tiny: Scenario, option: dict[str, Any], words: str
+def test_a_part_that_has_no_effect_or_does_not_fit_is_refused(
+    tiny: Scenario, part: dict[str, Any], options: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(vppres.InputError, match=words):
-        vppres.run_day(tiny, replace(HERE, **option), weights=tiny.customers.weight)
+        vppres.run_day(tiny, replace(HERE, **options), **part)
 
 
 class Odd(IdleController):
@@ -219,9 +210,3 @@ def test_a_forecast_of_what_cannot_be_is_refused(tiny: Scenario, power_kw: float
 
     with pytest.raises(vppres.InputError, match=r"forecast after step 0, load_kw = .*finite"):
         vppres.run_day(tiny, HERE, forecaster=Wild())
-
-
-@pytest.mark.parametrize("weights", ["critical", [[1.0, 1.0, 1.0]]])
-def test_weights_without_a_row_for_a_step_are_refused(tiny: Scenario, weights: Any) -> None:
-    with pytest.raises(vppres.InputError, match=r"weights of step [01]: must be 3 numbers above 0"):
-        vppres.run_day(tiny, HERE, weights=weights)

@@ -23,6 +23,7 @@ from tests.support.live_service import (
     site,
 )
 from tests.support.played_service import played
+from tests.support.sequences import Player, Row, one
 from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.scenario.faults import LineFault
@@ -69,22 +70,52 @@ def alarms(http: Caller) -> dict[str, dict[str, Any]]:
     return {one["kind"]: one for one in found if not one["cleared_at"]}
 
 
-def test_a_fault_that_is_reported_is_planned_for_at_once(live: Running) -> None:
-    http, _, runner = live
-    assert off(http.get("/v1/plan").json()) == {}
-    assert http.put("/v1/events/feeder-b", FAULT).status == 201
-    assert http.get("/v1/plan").json()["unaware_of"] == ["event feeder-b"]
-    plan = runner.anew()
-    assert plan is not None
-    assert off(plan) == {"homes": f"blacked out: {BEHIND}"}
-    (fault,) = plan["faults"]
-    assert (fault["name"], fault["out"], fault["end"]) == ("line 2-4", True, FAULT["end"])
-    assert plan["ahead"]["served"]["homes"] == [False, True]
-    alarm = alarms(http)["line_out"]
-    words = f"Line 2-4 is out of service until 14:00; homes off supply: {BEHIND}."
-    assert (alarm["text"], alarm["priority"]) == (words, "medium")
-    overview = http.get("/v1/overview").json()["plan"]
-    assert [one["reason"] for one in overview["off"]] == [f"blacked out: {BEHIND}"]
+PUT = "PUT events/feeder-b"
+CALM = {"": lambda plan: off(plan) == {} and "faults" not in plan}
+DARK = {"": lambda plan: off(plan) == {"homes": f"blacked out: {BEHIND}"}}
+SEQUENCES: dict[str, list[Row]] = {
+    "a fault that is reported is planned for at once": [
+        ("12:10", "GET plan", None, 200, CALM),
+        ("12:10", PUT, FAULT, 201, {}),
+        ("12:10", "GET plan", None, 200, {"unaware_of": ["event feeder-b"]}),
+        ("12:10", "anew", None, 200, {**DARK, "faults.*.name": ["line 2-4"], "faults.0.out": True,
+            "faults.0.end": FAULT["end"], "ahead.served.homes": [False, True]}),
+        ("12:10", "GET alarms", None, 200, {"alarms": one(kind="line_out", priority="medium",
+            text=f"Line 2-4 is out of service until 14:00; homes off supply: {BEHIND}.")}),
+        ("12:10", "GET overview", None, 200, {"plan.off.*.reason": [f"blacked out: {BEHIND}"]}),
+    ],
+    "its end may change and it may be repaired early": [
+        ("12:10", PUT, {**FAULT, "end": None}, 201, {}),
+        ("12:10", "anew", None, 200, {"ahead.served.homes": [False, False]}),
+        ("12:10", PUT, FAULT, 200, {}),
+        ("13:00", "decide", 0.5, 200, DARK),
+        ("13:20", PUT, {**FAULT, "end": "2026-11-21T13:20:00Z"}, 200, {}),
+        ("13:20", "anew", None, 200, CALM),
+        ("13:20", "GET alarms", None, 200, {"alarms.line_out.cleared_at": "2026-11-21T13:20:00Z"}),
+    ],
+    "a fault that is withdrawn is none": [
+        ("12:10", "PUT events/bus", {"type": "fault", "bus": 4, "start": FAULT["start"]}, 201, {}),
+        ("12:10", "anew", None, 200, {"": lambda plan: off(plan) == {"homes": "blacked out: bus 4 is out"}}),
+        ("12:15", "DELETE events/bus", None, 200, {}),
+        ("12:15", "anew", None, 200, CALM),
+    ],
+    "what is not there is refused once": [
+        *(("12:10", "PUT events/x", {"type": "fault", "start": FAULT["start"], **place}, 422,
+            {"": lambda answer, words=words: str(answer).count(words) == 1})
+            for place, words in (
+                ({"line": "44"}, "event, line = 44: is not a bus of the feeder. Did you mean 4?"),
+                ({"bus": 1}, "event, bus = 1: is the bus of the grid. Put an event outage, or give another bus."),
+                ({}, "names not one place. Give line, the bus that it feeds, or bus"),
+                ({"line": "4", "bus": "3"}, "names not one place. Give line, the bus that it feeds, or bus"))),
+        ("12:10", "GET events", None, 200, {"": {}}),
+        ("12:10", "anew", None, 204, {}),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("rows", SEQUENCES.values(), ids=list(SEQUENCES))
+def test_a_sequence_of_reports(rows: list[Row], live: Running) -> None:
+    Player(live).play(rows)
 
 
 @pytest.mark.parametrize("mode", ["hold", "off", "manual"])
@@ -130,54 +161,6 @@ def test_an_island_that_has_too_little_is_no_want_of_grid(tiny: Scenario, tmp_pa
         assert (
             alarms(http)["line_out"]["raised_at"] == first
         )  # it is one alarm for as long as it lasts
-
-
-def test_its_end_may_change_and_it_may_be_repaired_early(live: Running) -> None:
-    http, clock, runner = live
-    http.put("/v1/events/feeder-b", {**FAULT, "end": None})
-    plan = runner.anew()
-    assert plan is not None
-    assert plan["ahead"]["served"]["homes"] == [False, False]
-    http.put("/v1/events/feeder-b", FAULT)
-    assert off(decided(http, clock, NOON + HOUR)) == {"homes": f"blacked out: {BEHIND}"}
-    clock.set(NOON + HOUR + pd.Timedelta("20min"))
-    repaired = {**FAULT, "end": "2026-11-21T13:20:00Z"}
-    assert http.put("/v1/events/feeder-b", repaired).status == 200
-    plan = runner.anew()
-    assert plan is not None
-    assert off(plan) == {}
-    assert "faults" not in plan
-    assert "line_out" not in alarms(http)
-
-
-def test_a_fault_that_is_withdrawn_is_none(live: Running) -> None:
-    http, clock, runner = live
-    http.put("/v1/events/bus", {"type": "fault", "bus": 4, "start": FAULT["start"]})
-    plan = runner.anew()
-    assert plan is not None
-    assert off(plan) == {"homes": "blacked out: bus 4 is out"}
-    clock.set(SOON + pd.Timedelta("5min"))
-    assert http.delete("/v1/events/bus").status == 200
-    again = runner.anew()
-    assert again is not None
-    assert off(again) == {}
-
-
-@pytest.mark.parametrize(("place", "words"), [
-    ({"line": "44"}, "event, line = 44: is not a bus of the feeder. Did you mean 4?"),
-    ({"bus": 1}, "event, bus = 1: is the bus of the grid. Put an event outage, or give another bus."),
-    ({}, "names not one place. Give line, the bus that it feeds, or bus"),
-    ({"line": "4", "bus": "3"}, "names not one place. Give line, the bus that it feeds, or bus"),
-])  # fmt: skip
-def test_what_is_not_there_is_refused_once(
-    live: Running, place: dict[str, Any], words: str
-) -> None:
-    http, _, runner = live
-    answer = http.put("/v1/events/x", {"type": "fault", "start": FAULT["start"], **place})
-    assert answer.status == 422
-    assert str(answer.json()).count(words) == 1
-    assert http.get("/v1/events").json() == {}
-    assert runner.anew() is None
 
 
 def test_a_feeder_with_phases_knows_the_parts(one_former: Scenario, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,13 @@ def site(folder: Path, big: str = "big") -> Iterator[tuple[Runner, str, str]]:
         runner.step()
         with listening(make_app(runner, Access([token]))) as address:
             yield runner, address, secret
+
+
+@contextmanager
+def bridged(folder: Path) -> Iterator[tuple[Runner, Any]]:
+    """A service, and a bridge to it without a broker."""
+    with site(folder) as (runner, address, secret), closing(Client(address, secret)) as asking:
+        yield runner, Bridge(asking, Topics())
 
 
 def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> None:
@@ -226,8 +233,7 @@ ODD = (
 
 def test_one_odd_message_loses_no_other(tmp_path: Path) -> None:
     now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
-    with site(tmp_path) as (runner, address, secret):
-        bridge = Bridge(Client(address, secret), Topics())
+    with bridged(tmp_path) as (runner, bridge):
         for number, odd in enumerate(ODD):
             soc = 0.2 + 0.05 * number
             for message in (odd, Message("vppres/telemetry/small/soc", b"%.2f" % soc)):
@@ -236,7 +242,6 @@ def test_one_odd_message_loses_no_other(tmp_path: Path) -> None:
             heard = {one.asset: one.value for one in runner.store.latest(now, ["soc"])}
             assert heard["small"] == pytest.approx(soc), odd
             assert heard.get("big") is None, odd
-        bridge.service.close()
 
 
 @pytest.mark.nightly
@@ -244,15 +249,13 @@ def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
     """Of readings that waited, a request takes as many as the service does."""
     count = 2 * mqtt.MOST_SERIES + 1
 
-    with site(tmp_path) as (runner, address, secret):
-        bridge = Bridge(Client(address, secret), Topics())
+    with bridged(tmp_path) as (runner, bridge):
         for number in range(count):
             bridge._heard(None, None, Message())
             bridge._waiting[-1]["source"] = f"mqtt-{number}"
         bridge.turn()
         assert not bridge._waiting
         assert len(runner.store.contacts()) == count
-        bridge.service.close()
 
 
 @pytest.mark.nightly
@@ -273,8 +276,7 @@ def test_what_comes_while_others_are_sent_is_not_dropped(tmp_path: Path) -> None
 
 def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
-    with site(tmp_path) as (_, address, secret):
-        bridge = Bridge(Client(address, secret), Topics())
+    with bridged(tmp_path) as (_, bridge):
         end = threading.Event()
         running = threading.Thread(target=bridge.run, args=("127.0.0.1", port, 0.05, end))
         running.start()
@@ -291,7 +293,6 @@ def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCapture
             end.set()
             running.join(20)
         assert not running.is_alive()
-        bridge.service.close()
 
 
 def test_a_retained_message_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
@@ -309,8 +310,7 @@ NO_NUMBERS = (b"62 %", b"0,62", b'{"value": 0.62}', b"unavailable", b"1_0e-1", b
 def test_what_is_no_number_is_logged_by_topic_and_named_on_the_page(
     payload: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with site(tmp_path) as (_, address, secret):
-        bridge = Bridge(Client(address, secret), Topics())
+    with bridged(tmp_path) as (_, bridge):
         for message in (Message(), Message(payload=payload)):
             bridge._heard(None, None, message)
         bridge.turn()
@@ -319,14 +319,12 @@ def test_what_is_no_number_is_logged_by_topic_and_named_on_the_page(
         (source,) = bridge.service.wanted("GET", "/v1/overview").body["sources"]
         assert source["source"] == "mqtt" and source["ok"] == 1
         assert source["refused"] == [f"soc of big = {text}: is not a number"]
-        bridge.service.close()
 
 
 def test_the_bridge_says_which_asset_and_quantity_are_unknown(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with site(tmp_path) as (_, address, secret):
-        bridge = Bridge(Client(address, secret), Topics())
+    with bridged(tmp_path) as (_, bridge):
         for topic in ("nobody/soc", "big/mood", "small/soc"):
             bridge._heard(None, None, Message(f"vppres/telemetry/{topic}"))
         bridge.turn()
@@ -334,4 +332,3 @@ def test_the_bridge_says_which_asset_and_quantity_are_unknown(
         assert "telemetry: quantity of big = mood: is not known" in caplog.text
         (source,) = bridge.service.wanted("GET", "/v1/overview").body["sources"]
         assert source["ok"] == 1 and len(source["refused"]) == 2
-        bridge.service.close()

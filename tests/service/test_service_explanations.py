@@ -101,6 +101,17 @@ def test_every_step_is_explained_as_the_run_is(
         assert weight.max() > 1
 
 
+def off_and_explained(
+    plan: dict[str, Any], found: dict[str, Any], words: str = "Not supplied: "
+) -> list[str]:
+    """Customers that a plan leaves off, of each of which it is explained why."""
+    off = [one["asset"] for one in plan["setpoints"] if one.get("served") is False]
+    told = [one for one in found["reasons"] if one["action"] == "not_served"]
+    assert [one["asset"] for one in told] == off and off
+    assert all(one["words"].startswith(words) for one in told)
+    return off
+
+
 @pytest.fixture
 def stormy(tiny: Scenario, tmp_path: Path) -> Any:
     """A service in an outage with little in store: runner, client and plan."""
@@ -123,11 +134,8 @@ def test_a_plan_of_the_second_half_of_a_step_is_explained_as_it_is(
         found = explained(question(runner, plan))
         service = Service(site(tiny), HERE)
         run = exported(service, runner.store, NOON, NOON + pd.Timedelta("1h"))
-    off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
-    told = {one["asset"]: one for one in found["reasons"] if one["action"] == "not_served"}
-    assert off == set(told) and off
-    assert all(one["words"].startswith("Not supplied: ") for one in told.values())
-    assert set(run.customers.loc[~run.customers["served"].astype(bool), "id"]) == off
+    off = off_and_explained(plan, found)
+    assert [*run.customers.loc[~run.customers["served"].astype(bool), "id"]] == off
 
 
 @pytest.mark.daily
@@ -136,10 +144,7 @@ def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.Monkey
     answer = http.get("/v1/explanations")
     found = answer.json()
     assert answer.status == 200 and found["plan"] == plan["id"] and found["phase"] == "island"
-    off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
-    told = {one["asset"]: one for one in found["reasons"] if one["action"] == "not_served"}
-    assert off == set(told) and off
-    assert all(one["words"].startswith("Not supplied: ") for one in told.values())
+    off = off_and_explained(plan, found)
     assert {one["asset"] for one in found["price"]} == {"big", "small"}
     assert max(one["weighted_h"] for one in found["price"]) > 0.0
     assert {k: v for k, v in found.items() if k in ("phase", "step", "reasons", "price")} == {
@@ -150,7 +155,7 @@ def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.Monkey
     assert http.get("/v1/explanations", if_none_match=tag).status == 304
     same = http.get("/v1/explanations?at=2026-11-21T12:59:59Z")
     assert same.json() == found
-    name = sorted(off)[0]
+    name = off[0]
     one = http.get(f"/v1/explanations?asset={name}").json()
     assert [each["asset"] for each in one["reasons"]] == [name]
     assert [each["asset"] for each in http.get("/v1/explanations?asset=big").json()["price"]] == [
@@ -207,9 +212,7 @@ def test_a_plan_that_leaves_a_customer_off_is_explained_before_anybody_asks(
             machine.sleep(0.02)
         assert runner.last
         found = answer.json()
-    off = {one["asset"] for one in runner.last["setpoints"] if one.get("served") is False}
-    told = {one["asset"]: one["words"] for one in found["reasons"] if one["asset"] in off}
-    assert off == set(told) and off
+    off_and_explained(runner.last, found)
     assert found["price_reason"] is None and found["plan"] == runner.last["id"]
 
 
@@ -224,9 +227,8 @@ def test_who_takes_too_long_is_ended_and_one_is_made_at_a_time(
     monkeypatch.setattr(explainer, "WITHIN_S", 0.05)
     found = http.get("/v1/explanations").json()
     assert found["price"] is None and found["price_reason"] == explainer.LATE
-    off = [one["asset"] for one in plan["setpoints"] if one.get("served") is False]
-    told = [one["asset"] for one in found["reasons"] if one["action"] == "not_served"]
-    assert told == off and {one["words"] for one in found["reasons"]} == {"plan"}
+    off_and_explained(plan, found, "plan")
+    assert {one["words"] for one in found["reasons"]} == {"plan"}
     monkeypatch.setattr(
         explainer, "command", lambda *_: [sys.executable, "-c", "raise SystemExit(3)"]
     )

@@ -52,41 +52,24 @@ class SolveInfo:
 
 @dataclass(frozen=True, eq=False)
 class Switched:
-    """The configuration of a step in which switches may move, and why it is this one.
+    """The configuration of a step in which switches may move, and why it is this one."""
 
-    Parameters
-    ----------
-    closed : array of bool, shape (E,)
-        Lines and ties that are closed.
-    moved : str
-        Operations of the step, in words.
-    order : tuple of str
-        The operations one after another, each with what it does and the least margin after it.
-    ahead : str
-        Operations that the plan counts on, but that wait.
-    gain : float
-        What they are worth over the window, in weighted customer hours, beyond their price.
-    configurations, bounded, planned : int
-        Configurations in reach, how many ways of cutting the feeder were bounded for all of them,
-        and how many were planned.
-    why : str
-        Why switches move, and what it serves, or why none does.
-    proposed : array of bool, shape (E,), optional
-        The configuration that an operator is to bring about, where operations are proposed.
-    until : int
-        Steps from this one on for which it serves that; 0 where no customer is on for it.
-    """
-
-    closed: Flags
-    moved: str = ""
+    closed: Flags  #: lines and ties that are closed, (E,)
+    moved: str = ""  #: operations of the step, in words
+    #: The operations one after another, each with what it does and the least margin after it.
     order: tuple[str, ...] = ()
-    ahead: str = ""
+    ahead: str = ""  #: operations that the plan counts on, but that wait
+    #: What they are worth over the window, in weighted customer hours, beyond their price.
     gain: float = 0.0
+    #: Configurations in reach, how many ways of cutting the feeder were bounded for all of them,
+    #: and how many were planned.
     configurations: int = 0
     bounded: int = 0
     planned: int = 0
-    why: str = ""
+    why: str = ""  #: why switches move, and what it serves, or why none does
+    #: The configuration that an operator is to bring about, where operations are proposed, (E,).
     proposed: Flags | None = None
+    #: Steps from this one on for which it serves that; 0 where no customer is on for it.
     until: int = 0
 
 

@@ -27,17 +27,11 @@ STREAM_OF_KIND: dict[Kind, int] = {"load": 0, "pv": 1}
 
 @dataclass(frozen=True)
 class ForecastErrors:
-    """Size of the forecast errors, all zero by default.
+    """Size of the forecast errors, all zero by default."""
 
-    Parameters
-    ----------
-    load_bias, pv_bias : float
-        Share by which the forecast is too high (negative: too low), from -1.
-    load_alpha_per_h, pv_alpha_per_h : float
-        Growth of the relative standard deviation per hour ahead.
-    """
-
+    #: Share by which the forecast is too high (negative: too low), from -1.
     load_bias: float = 0.0
+    #: Growth of the relative standard deviation per hour ahead.
     load_alpha_per_h: float = 0.0
     pv_bias: float = 0.0
     pv_alpha_per_h: float = 0.0

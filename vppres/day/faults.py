@@ -113,15 +113,7 @@ class FaultPlan:
 
 
 class FaultInjector:
-    """Carries out a plan of faults while a day runs.
-
-    Parameters
-    ----------
-    plan : FaultPlan
-        What goes wrong.
-    scenario : Scenario
-        The day.
-    """
+    """Carries out a plan of faults while a day runs."""
 
     def __init__(self, plan: FaultPlan, scenario: Scenario) -> None:
         plan.check(scenario)
@@ -184,15 +176,7 @@ class FaultInjector:
 
 
 class FaultySolver(WindowSolver):
-    """A solver that fails when the day's faults say so.
-
-    Parameters
-    ----------
-    solver : WindowSolver
-        The one that works.
-    injector : FaultInjector
-        Says when it does not.
-    """
+    """A solver that fails when the day's faults say so."""
 
     def __init__(self, solver: WindowSolver, injector: FaultInjector) -> None:
         self.method = solver.method

@@ -44,16 +44,7 @@ def basis_of(forecasts: DayForecasts, t: int) -> dict[str, str]:
 
 
 def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> DayForecasts:
-    """The forecasts of a run.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The actual day, with what was measured before it.
-    options : RunOptions
-        Of which the forecaster, the controller and the seed count.
-    errors : ForecastErrors
-        Errors of the paper's forecaster.
+    """The forecasts of a run; ``errors`` are those of the paper's forecaster.
 
     Raises
     ------

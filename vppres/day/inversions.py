@@ -211,23 +211,11 @@ def lower_tiers_now(
 ) -> dict[str, str]:
     """The most important customer off supply while lower tiers are on, in a sentence.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Customers and tiers.
-    served, load_kw : array, shape (C,)
-        Who is supplied in a step, and the demand of all.
-    charge_kw : float, optional
-        What batteries take in the step.
-    later : array of bool, shape (W - 1, C), optional
-        Who is meant to be supplied in the steps that follow.
-
-    Returns
-    -------
-    dict
-        ``inverted`` where lower tiers and charging batteries take its demand now, else ``shorter``:
-        for how long what they take would do for it. Both say for how many of the later steps it
-        waits. Empty if no lower tier is on.
+    Of a step it is known who is supplied and what all would take, (C,) each, and what batteries
+    take; ``later``, (W - 1, C), is who is meant to be supplied in the steps that follow. It is
+    ``inverted`` where lower tiers and charging batteries take its demand now, else ``shorter``: for
+    how long what they take would do for it. Both say for how many of the later steps it waits.
+    Empty if no lower tier is on.
     """
     c = scenario.customers
     rank = {tier: k for k, tier in enumerate(scenario.tiers)}

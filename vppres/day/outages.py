@@ -136,20 +136,8 @@ class OutageView:
     ) -> Observation:
         """An observation without what cannot be known.
 
-        Parameters
-        ----------
-        seen : Observation
-            With the true limits of its window.
-        grid : GridSeen
-            The grid so far.
-        scenario : Scenario
-            Has the steps.
-        row : int
-            The present one among them.
-        forecaster : Forecaster
-            Forecasts of them.
-        beside : Beside, optional
-            What is known beside them; the scenario's steps before them if not given.
+        The forecaster's are forecasts of the scenario's steps, of which the present one is at
+        ``row``. ``beside`` is what is known beside them: by default the steps before them.
         """
         if self.kind == KNOWN:
             return seen
@@ -277,20 +265,10 @@ class OutageView:
 
 
 def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
-    """Probability that each step is one of an outage, as it was known at each.
+    """Probability that each step is one of an outage, as it was known at each, (T, T).
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The day as it came.
-    options : mapping
-        Of the run, as they are recorded.
-
-    Returns
-    -------
-    array, shape (T, T)
-        By the step at which it was known, then by the step that it is about; NaN for steps
-        that were over, or too far ahead.
+    By the step at which it was known, then by the step that it is about; NaN for steps that were
+    over, or too far ahead.
     """
     view = OutageView.create(scenario, options)
     times = scenario.grid.times

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +15,13 @@ from vppres.contract.observation import Observation
 from vppres.control.by_weight import ByWeight
 from vppres.control.guard.check import misshapen
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
 from vppres.forecasts.interface import ForecastMethod
 from vppres.model.site import Site
 
 MPC = "mpc"
+WHERE = "run_day"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,55 +42,42 @@ class Own:
         Raises
         ------
         InputError
-            With the cure.
+            With the cures.
         """
-        if self.weights is not None and (self.controller is not None or options.controller != MPC):
-            raise InputError.of(
-                "run_day",
-                "are for the controller mpc, which plans anew in each step",
-                "Leave out the weights, or use controller = 'mpc' of RunOptions.",
-                field="weights",
+        if problems := [*self._problems(options)]:
+            raise InputError(problems)
+
+    def _problems(self, options: RunOptions) -> Iterator[Problem]:
+        weights, controller = self.weights is not None, self.controller is not None
+        if weights and (controller or options.controller != MPC):
+            message = "are for the controller mpc, which plans anew in each step"
+            cure = "Leave out the weights, or use controller = 'mpc' of RunOptions."
+            yield Problem(WHERE, message, cure, field="weights")
+        if weights and options.shares_supply:
+            message = (
+                "are those of every step, so that none is left to be shared by rotation or minimum"
             )
-        if self.weights is not None and options.shares_supply:
-            raise InputError.of(
-                "run_day",
-                "are those of every step, so that none is left to be shared by rotation or minimum",
-                "Leave out the weights, or rotation and minimum_on_h of RunOptions.",
-                field="weights",
-            )
-        if self.controller is not None and not callable(self.controller):
-            raise InputError.of(
-                "run_day",
-                "is called with the site, once for each set of batteries that is in use",
-                "Give the class, or a function that makes a controller of a site.",
-                field="controller",
-                value=_name(self.controller),
-            )
-        if self.controller is not None and options.move_switches:
-            raise InputError.of(
-                "run_day",
-                "leaves the switches as they are",
-                "Leave out move_switches of RunOptions.",
-                field="controller",
-                value=_name(self.controller),
-            )
-        forecast = getattr(self.forecaster, "forecast", None)
-        is_class = isinstance(self.forecaster, type)
-        if self.forecaster is not None and (is_class or not callable(forecast)):
-            raise InputError.of(
-                "run_day",
-                "must have a method forecast(history, issued_at, steps)",
-                "Give an object, Persistence(), not its class.",
-                field="forecaster",
-                value=_name(self.forecaster),
-            )
+            cure = "Leave out the weights, or rotation and minimum_on_h of RunOptions."
+            yield Problem(WHERE, message, cure, field="weights")
+        if controller and not callable(cast(object, self.controller)):
+            message = "is called with the site, once for each set of batteries that is in use"
+            cure = "Give the class, or a function that makes a controller of a site."
+            yield self._of_controller(message, cure)
+        if controller and options.move_switches:
+            cure = "Leave out move_switches of RunOptions."
+            yield self._of_controller("leaves the switches as they are", cure)
+        forecasts = callable(getattr(self.forecaster, "forecast", None))
+        if self.forecaster is not None and (isinstance(self.forecaster, type) or not forecasts):
+            message = "must have a method forecast(history, issued_at, steps)"
+            cure = "Give an object, Persistence(), not its class."
+            yield Problem(WHERE, message, cure, field="forecaster", value=_name(self.forecaster))
         if self.forecaster is not None and options.errors != ForecastErrors():
-            raise InputError.of(
-                "run_day",
-                "makes its own errors, so that none can be given",
-                "Leave out biases and errors.",
-                field="forecaster",
-            )
+            message = "makes its own errors, so that none can be given"
+            cure = "Leave out biases and errors."
+            yield Problem(WHERE, message, cure, field="forecaster")
+
+    def _of_controller(self, message: str, cure: str) -> Problem:
+        return Problem(WHERE, message, cure, field="controller", value=_name(self.controller))
 
     def made_controller(self, site: Site) -> Decider | None:
         """The controller of a site, checked; None if the package's decides.
@@ -104,13 +92,8 @@ class Own:
         made = self.controller(site)
         for method in ("horizon_steps", "decide"):
             if not callable(getattr(made, method, None)):
-                raise InputError.of(
-                    "run_day",
-                    f"lacks the method {method}",
-                    "It needs horizon_steps(t0) and decide(observation).",
-                    field="controller",
-                    value=_name(self.controller),
-                )
+                cure = "It needs horizon_steps(t0) and decide(observation)."
+                raise InputError(self._of_controller(f"lacks the method {method}", cure))
         return WellFormed(made, site)
 
     def record(self) -> dict[str, Any]:
@@ -147,15 +130,7 @@ class Own:
 
 
 class WellFormed:
-    """A controller of your own whose decisions have the site's arrays, with numbers alone.
-
-    Parameters
-    ----------
-    inner : Decider
-        The controller.
-    site : Site
-        Whose set-points it decides.
-    """
+    """A controller of your own whose decisions have the site's arrays, with numbers alone."""
 
     def __init__(self, inner: Decider, site: Site) -> None:
         self.inner = inner
@@ -188,17 +163,7 @@ class WellFormed:
 
 
 class ByStepWeights:
-    """A controller whose customers have other weights from step to step.
-
-    Parameters
-    ----------
-    controllers : ByWeight
-        Decides with the weights of a step.
-    own : Own
-        Has the weights.
-    weight : array, shape (C,)
-        Those before the first step.
-    """
+    """A controller whose customers have other weights from step to step."""
 
     def __init__(self, controllers: ByWeight, own: Own, weight: Floats) -> None:
         self._controllers = controllers

@@ -22,14 +22,8 @@ def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
     its window, ``recovery`` if it follows an outage, directly or after other steps of recovery, and
     customers or stored energy return in it, otherwise ``normal``.
 
-    Parameters
-    ----------
-    outage : array of bool, shape (T,)
-        Steps without grid.
-    returning : array of bool, shape (T,)
-        Steps in which a customer is off supply or restored, or the batteries are filled.
-    n_seen : int
-        Steps of a window, the current one included.
+    ``returning`` are steps in which a customer is off supply or restored, or the batteries are
+    filled, (T,); a window has ``n_seen`` steps, the current one included.
 
     Examples
     --------

@@ -13,15 +13,7 @@ from vppres.scenario.scenario import LIMIT, SOFT, Scenario
 
 
 def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
-    """The site of a scenario as the controllers of a run weigh and limit it.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Its site and tiers.
-    options : mapping
-        Of the run, as they are recorded.
-    """
+    """The site of a scenario as the controllers of a run weigh and limit it."""
     soft = options.get("voltage_limits") == SOFT
     feeder = scenario.phases or scenario.network
     ratings = options.get("ratings")

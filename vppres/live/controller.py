@@ -63,7 +63,7 @@ class Controller:
         history: History | None = None,
     ) -> None:
         start = Past.before_the_day(scenario, options)
-        if start.history is not None and history is not None:
+        if start.history and history:
             start = replace(start, history=history)
         at = Standing(scenario, 0, start)
         if state is not None:
@@ -160,7 +160,7 @@ class Controller:
     def measured(self) -> History | None:
         """Measurements of the last step, one row; None if no forecaster learns from them."""
         history = self._past.history
-        return None if history is None else history.rows(history.n_steps - 1, history.n_steps)
+        return history and history.rows(history.n_steps - 1, history.n_steps)
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -391,7 +391,7 @@ class Controller:
                 raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
             raise
         self._past = past
-        if not seen.elapsed_h or self._step_before is None:
+        if not (seen.elapsed_h and self._step_before):
             self._step_before = start
         return points
 

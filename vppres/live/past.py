@@ -57,11 +57,8 @@ class Past:
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""
-        if self.history is None:
-            return None
-        return self.history.followed_by(start, load_kw[np.newaxis], pv_kw[np.newaxis]).last_days(
-            REMEMBERED_DAYS
-        )
+        step = load_kw[np.newaxis], pv_kw[np.newaxis]
+        return self.history and self.history.followed_by(start, *step).last_days(REMEMBERED_DAYS)
 
     def owed_at(self, t: int) -> Owed | None:
         """Demand that may still be caught up at a step; in steps between nothing was."""

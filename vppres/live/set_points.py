@@ -130,32 +130,18 @@ class SetPoints(SetPointsOfKinds):
         scenario: Scenario,
         step: StepRecord,
         foreseen: Foreseen,
-        after: SwitchingState | None = None,
-        kinds: Mapping[str, UnitsNow] | None = None,
-        closed: Flags | None = None,
-        proposal: Proposal | None = None,
+        after: SwitchingState | None,
+        kinds: Mapping[str, UnitsNow],
+        closed: Flags,
+        proposal: Proposal,
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            The site, with what is taken for true of the step.
-        step : StepRecord
-            What the decision should lead to.
-        foreseen : Foreseen
-            The rest of its plan.
-        after : SwitchingState, optional
-            Who is off and for how long after the step.
-        kinds : mapping, optional
-            Units as the step found them, by kind.
-        closed : array of bool, optional
-            Lines and ties that are closed, (E,); those of the scenario if not given.
-        proposal : Proposal, optional
-            Switches to move.
+        ``scenario`` is the site with what is taken for true of the step, and ``step`` what the
+        decision should lead to; ``after`` has switching duties after it, ``kinds`` the units of
+        each kind as the step found them, and ``closed`` the lines and ties that are closed, (E,).
         """
         branches = Branches.of(scenario)
-        closed = branches.closed if closed is None else closed
         out = scenario.out_of_service(range(1))
         off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
@@ -178,8 +164,8 @@ class SetPoints(SetPointsOfKinds):
             by_phase=ByPhase.of(scenario, step),
             lines_out=tuple(out.names(scenario.network, 0)),
             switches_open=branches.open_names(closed),
-            proposal=proposal or Proposal(),
-            **_of_kinds(scenario, step, kinds or {}),
+            proposal=proposal,
+            **_of_kinds(scenario, step, kinds),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:

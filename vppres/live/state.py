@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -75,7 +76,7 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
     body = {
         **_body(standing, decider, options),
         "history": to_plain(standing.past.history),
-        "before": None if standing.before is None else _moment(*standing.before, given),
+        "before": standing.before and _moment(*standing.before, given),
     }
     return {**body, "digest": _digest(_text(body))}
 
@@ -143,11 +144,14 @@ def _restored(
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
-    history = _history(state["history"], start)
+    history = start.history  # the site's own if the state has none
+    if history and state["history"]:
+        history = from_plain(History, state["history"], f"{WHERE}.history")
     before = None
-    if state["before"] is not None:
+    if state["before"]:
+        # The measurements before the last step are those of its beginning: no copy is kept.
         row = from_plain(int, state["now"]["past"]["t"], f"{WHERE}.now.past.t") - forgotten
-        then = None if history is None else history.before(known.grid.start + row * known.grid.step)
+        then = history and history.before(known.grid.start + row * known.grid.step)
         past = start.read(state["before"]["past"], then, given, f"{WHERE}.before.past")
         before = state["before"]["memory"], past
     now = start.read(state["now"]["past"], history, given, f"{WHERE}.past")
@@ -158,17 +162,6 @@ def _restored(
 def _moment(memory: dict[str, Any], past: Past, given: Given) -> dict[str, Any]:
     """State of the site and memory of the controller, between two steps."""
     return {"past": past.as_plain(given), "memory": memory}
-
-
-def _history(plain: Any, start: Past) -> History | None:
-    """Measurements that a forecaster learns from; the site's own if the state has none.
-
-    The measurements before the last step are those of its beginning: no other copy is kept.
-    """
-    if start.history is None or plain is None:
-        return start.history
-    found: History = from_plain(History, plain, f"{WHERE}.history")
-    return found
 
 
 def given_by(known: Scenario, options: RunOptions) -> Given:
@@ -219,6 +212,11 @@ def _from_version_3(state: dict[str, Any]) -> dict[str, Any]:
 
     What each took in its last step is not known then, and no reading is doubted for it.
     """
+    fields = {
+        "chargers": ("vehicles", "kwh"),
+        "thermal_loads": ("rooms", "reckoned_c"),
+        "gensets": ("sets", "power_kw"),
+    }
 
     def moment(old: dict[str, Any]) -> dict[str, Any]:
         past = old["past"]
@@ -229,14 +227,7 @@ def _from_version_3(state: dict[str, Any]) -> dict[str, Any]:
                 kinds[kind] = {"taken_kw": ["nan"] * len(one[by_unit]), **one}
         return {**old, "past": {**past, "kinds": kinds}}
 
-    fields = {
-        "chargers": ("vehicles", "kwh"),
-        "thermal_loads": ("rooms", "reckoned_c"),
-        "gensets": ("sets", "power_kw"),
-    }
-    before = state["before"]
-    then = None if before is None else moment(before)
-    return {**state, "now": moment(state["now"]), "before": then}
+    return _with_moments(state, moment)
 
 
 def _without_faults(state: dict[str, Any], network: Network) -> dict[str, Any]:
@@ -257,7 +248,7 @@ def _without_faults(state: dict[str, Any], network: Network) -> dict[str, Any]:
         return found
 
     known = {**state["known"], "faults": []}
-    return {**state, **{name: whole(state[name]) for name in ("now", "before")}, "known": known}
+    return {**_with_moments(state, whole), "known": known}
 
 
 def _without_switches(
@@ -272,9 +263,14 @@ def _without_switches(
             memory = {"closed": closed, "moved": [], "decider": memory}
         return {"past": {**old["past"], "closed": closed}, "memory": memory}
 
-    before = state["before"]
-    then = None if before is None else moment(before)
-    return {**state, "now": moment(state["now"]), "before": then}
+    return _with_moments(state, moment)
+
+
+def _with_moments(
+    state: dict[str, Any], changed: Callable[[dict[str, Any]], Any]
+) -> dict[str, Any]:
+    """A state whose moments, of which that before the last step may be missing, are changed."""
+    return {**state, **{name: state[name] and changed(state[name]) for name in ("now", "before")}}
 
 
 def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:

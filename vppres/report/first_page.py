@@ -207,18 +207,14 @@ def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
         ("Highest voltage", int(v.argmax()), net.v_max_ac_pu, -1.0),
     ):
         row = live.iloc[at]
+        node = f"bus {row['bus']}" + (f", phase {row['phase']}" if "phase" in row else "")
         yield LimitRow(
             what,
             f"{v[at]:.4f} pu",
-            f"{_node_words(row)}, {clock.words(row['time'])}",
+            f"{node}, {clock.words(row['time'])}",
             f"{limit:g} pu",
             bool(sign * (limit - v[at]) > LIMIT_TOLERANCE_PU),
         )
-
-
-def _node_words(row: pd.Series[Any]) -> str:
-    """A bus, and the phase of a phased feeder."""
-    return f"bus {row['bus']}" + (f", phase {row['phase']}" if "phase" in row else "")
 
 
 def _line_rows(run: Trajectory) -> Iterator[LimitRow]:

@@ -30,27 +30,16 @@ MOST_MOMENTS = 3
 
 @dataclass(frozen=True)
 class Look:
-    """How the feeder looks: classes of its elements as in a step, and in words.
+    """How the feeder looks: classes of its elements as in a step, and in words."""
 
-    Parameters
-    ----------
-    words : str
-        When it is, and what is off.
-    bus, tile, line, part : str
-        A digit for each element, as in :func:`vppres.report.one_line.step_states`.
-    soc : list of int
-        Per cent of each battery.
-    moved : tuple of int
-        Branches that move.
-    """
-
-    words: str
+    words: str  #: when it is, and what is off
+    #: A digit for each element, as in :func:`vppres.report.one_line.step_states`.
     bus: str
     tile: str
     line: str
     part: str
-    soc: list[int]
-    moved: tuple[int, ...] = ()
+    soc: list[int]  #: per cent of each battery
+    moved: tuple[int, ...] = ()  #: branches that move
 
     @property
     def out(self) -> list[int]:

@@ -1,8 +1,9 @@
 """Pictures of runs and scenarios with matplotlib, for notebooks and papers: ``vppres.plot``.
 
-Each takes a run, or several by label or in a row, and the Axes to draw into; it makes a figure of
-its own without. What is given back is the Axes, to be changed further. Curves differ by
-colour, dashes and width, and areas by hatches, so that a grey print shows the same.
+``runs`` is one run, or several by label or in a row; ``ax`` the Axes to draw into, in a picture of
+several panels one for each. A figure of its own is made without. The Axes are returned, to be
+changed further. Curves differ by colour, dashes and width, and areas by hatches, so that a grey
+print shows the same.
 """
 
 from __future__ import annotations
@@ -155,20 +156,7 @@ def drawn(kind: str, run: Trajectory, **options: Any) -> Any:
 
 
 def day(run: Trajectory, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
-    """The day in three panels: supply, share of each tier that is supplied, stored energy.
-
-    Parameters
-    ----------
-    run : Trajectory
-        One run.
-    ax : sequence of three Axes, optional
-        Where to draw; below each other in a new figure if not given.
-
-    Returns
-    -------
-    sequence of Axes
-        The three.
-    """
+    """The day in three panels: supply, share of each tier that is supplied, stored energy."""
     panels = _panels((2.2, 1.2, 1.2), (8.0, 6.6), ax)
     supply(run, panels[0])
     _service(run, panels[1])
@@ -180,20 +168,7 @@ def day(run: Trajectory, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
 
 
 def supply(runs: Runs, ax: Axes | None = None) -> Axes:
-    """Demand and what supplied it; of several runs import and supplied demand of each.
-
-    Parameters
-    ----------
-    runs : Trajectory, or several by label or in a row
-        What to draw.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
-    """
+    """Demand and what supplied it; of several runs import and supplied demand of each."""
     ax = _axes(ax)
     named = _named(runs)
     first = next(iter(named.values()))
@@ -213,20 +188,7 @@ def supply(runs: Runs, ax: Axes | None = None) -> Axes:
 
 
 def energy(runs: Runs, ax: Axes | None = None) -> Axes:
-    """Energy in all batteries, what a full horizon planned, and the limits of the SoC.
-
-    Parameters
-    ----------
-    runs : Trajectory, or several by label or in a row
-        What to draw.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
-    """
+    """Energy in all batteries, what a full horizon planned, and the limits of the SoC."""
     ax = _axes(ax)
     for (label, run), style in zip(_named(runs).items(), RUN_STYLES, strict=False):
         ax.plot(run.edges, run.series("energy_kwh"), label=label, **line_of(style))
@@ -244,20 +206,7 @@ def energy(runs: Runs, ax: Axes | None = None) -> Axes:
 
 
 def voltages(runs: Runs, ax: Axes | None = None) -> Axes:
-    """Lowest bus voltage of each step by AC power flow, and thin by the optimisation, with limits.
-
-    Parameters
-    ----------
-    runs : Trajectory, or several by label or in a row
-        What to draw.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
-    """
+    """Lowest bus voltage of each step by AC power flow, thin by the optimisation; limits."""
     ax = _axes(ax)
     for (label, run), style in zip(_named(runs).items(), RUN_STYLES, strict=False):
         steps(ax, run, run.series("v_min_ac_pu"), style, f"{label}: AC power flow")
@@ -282,21 +231,8 @@ def feeder(
     """The feeder with its customers by tier, PV systems and batteries.
 
     Of a run the buses have the colour of their voltage in a step, lines are as wide as they are
-    loaded, and customers that are off supply are crossed out.
-
-    Parameters
-    ----------
-    shown : Trajectory or Scenario
-        A run, or a scenario without one.
-    time : pandas.Timestamp or str, optional
-        Beginning of the step; that with the least service in the outage if not given.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
+    loaded, and customers that are off supply are crossed out. ``time`` is the beginning
+    of that step, which is the one with the least service in the outage if not given.
     """
     site = shown.scenario if isinstance(shown, Trajectory) else shown
     net = site.network
@@ -340,19 +276,7 @@ def feeder(
 def horizon(runs: Runs, value: str = "resilience", ax: Axes | None = None) -> Axes:
     """A key figure of runs of the MPC against their prediction horizon; others as a level.
 
-    Parameters
-    ----------
-    runs : several runs, by label or in a row
-        Of the same day.
-    value : str
-        Key of the summary; of nested ones with a dot, as ``served_share.critical``.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
+    ``value`` is a key of the summary; of nested ones with a dot, as ``served_share.critical``.
     """
     ax = _axes(ax)
     points = []
@@ -378,17 +302,7 @@ def horizon(runs: Runs, value: str = "resilience", ax: Axes | None = None) -> Ax
 def compare(runs: Runs, ax: Axes | None = None) -> Axes:
     """Share of each tier's customers that is supplied in the outage, the runs side by side.
 
-    Parameters
-    ----------
-    runs : several runs, by label or in a row
-        Of the same day; where it has no outage, all steps count.
-    ax : Axes, optional
-        Where to draw; a new figure if not given.
-
-    Returns
-    -------
-    Axes
-        Where it was drawn.
+    Of a day without an outage all steps count.
     """
     ax = _axes(ax)
     named = _named(runs)
@@ -419,20 +333,7 @@ def compare(runs: Runs, ax: Axes | None = None) -> Axes:
 
 
 def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
-    """The feeder with its tiers, and below it demand by tier and available PV power.
-
-    Parameters
-    ----------
-    site : Scenario
-        What to draw.
-    ax : sequence of two Axes, optional
-        Where to draw; below each other in a new figure if not given.
-
-    Returns
-    -------
-    sequence of Axes
-        The two.
-    """
+    """The feeder with its tiers, and below it demand by tier and available PV power."""
     rows = 2.0 + 0.7 * float(tree_layout(site.network).row.max())
     panels = _panels((rows, 3.0), (9.0, min(14.0, rows + 3.4)), ax)
     feeder(site, ax=panels[0])
@@ -573,30 +474,17 @@ def _stack(run: Trajectory, ax: Axes) -> None:
         above = np.minimum(below + power_kw, served)
         if (above > below + 1e-9).any():
             colour, hatch = _SOURCES.get(name, (GREY, ""))
-            ax.fill_between(
-                edges,
-                _held(below),
-                _held(above),
-                step="post",
-                facecolor=colour,
-                edgecolor=WHITE,
-                hatch=hatch,
-                linewidth=0.0,
-                label=name,
-            )
+            _area(ax, edges, (below, above), name, facecolor=colour, edgecolor=WHITE, hatch=hatch)
         below = np.maximum(above, below)
     if (demand > served + 1e-9).any():
-        ax.fill_between(
-            edges,
-            _held(served),
-            _held(demand),
-            step="post",
-            facecolor=WHITE,
-            edgecolor=VERMILLION,
-            hatch="\\\\\\",
-            linewidth=0.0,
-            label="not supplied",
-        )
+        look = {"facecolor": WHITE, "edgecolor": VERMILLION, "hatch": "\\\\\\"}
+        _area(ax, edges, (served, demand), "not supplied", **look)
+
+
+def _area(ax: Axes, edges: Any, ends: tuple[Floats, Floats], label: str, **look: Any) -> None:
+    """An area between two quantities that hold over each step."""
+    below, above = map(_held, ends)
+    ax.fill_between(edges, below, above, step="post", linewidth=0.0, label=label, **look)
 
 
 def _service(run: Trajectory, ax: Axes) -> None:

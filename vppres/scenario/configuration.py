@@ -31,20 +31,11 @@ LEFT_OPEN = (LOOPED, LACKS_A_PHASE)
 
 @dataclass(frozen=True, eq=False)
 class Branches:
-    """Lines and open ties of a feeder, (E,) each.
+    """Lines and open ties of a feeder, (E,) each."""
 
-    Parameters
-    ----------
-    network : Network
-        The lines, in the configuration in which a day begins.
-    switches : Switches
-        The switches: those on lines, and the ties.
-    phases : Phases, optional
-        The phases; a balanced feeder if not given. A tie has all phases there, or is not moved.
-    """
-
-    network: Network
-    switches: Switches
+    network: Network  #: the lines, in the configuration in which a day begins
+    switches: Switches  #: the switches: those on lines, and the ties
+    #: The phases; a balanced feeder if not given. A tie has all phases there, or is not moved.
     phases: Phases = BALANCED
 
     @classmethod
@@ -330,28 +321,15 @@ def blocks_of(ends: Wholes, closed: Flags, n_buses: int) -> Wholes | None:
 
 @dataclass(frozen=True, eq=False)
 class Configured:
-    """A scenario in a configuration, and where its buses and lines stand in the day's own order.
+    """A scenario in a configuration, and where its buses and lines stand in the day's own order."""
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The day whose network is a tree with all closed branches. What else the tree needs is open:
-        lines that are out all day.
-    buses : array of int, shape (N,)
-        Position in the tree of each bus of the day.
-    lines : array of int, shape (E,)
-        Line of the tree that each branch is; -1 if it is none.
-    sign : array of float, shape (E,)
-        -1 where the tree has the branch the other way round.
-    closed : array of bool, shape (E,)
-        Branches that are closed.
-    """
-
+    #: The day whose network is a tree with all closed branches. What else the tree needs is open:
+    #: lines that are out all day.
     scenario: Scenario
-    buses: Wholes
-    lines: Wholes
-    sign: Floats
-    closed: Flags
+    buses: Wholes  #: position in the tree of each bus of the day, (N,)
+    lines: Wholes  #: line of the tree that each branch is; -1 if it is none, (E,)
+    sign: Floats  #: -1 where the tree has the branch the other way round, (E,)
+    closed: Flags  #: branches that are closed, (E,)
 
     def at_buses(self, values: Any) -> Any:
         """Values of the tree's buses, (..., N), in the order of the day."""

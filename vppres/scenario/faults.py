@@ -20,24 +20,14 @@ from vppres.scenario.timegrid import TimeGrid
 
 @dataclass(frozen=True)
 class LineFault:
-    """A line or a bus that is out of service, ``end`` not included.
+    """A line or a bus that is out of service, ``end`` not included."""
 
-    Parameters
-    ----------
-    start, end : pandas.Timestamp
-        From when until when. A step that it reaches into is one without the line.
-    line : int or str, optional
-        The bus that the line feeds.
-    bus : int or str, optional
-        A bus that is out itself, with all of its lines.
-    known : bool
-        Whether plans see it before it begins. Once it has begun they know its end in any case.
-    """
-
+    #: From when until when. A step that it reaches into is one without the line.
     start: pd.Timestamp
     end: pd.Timestamp
-    line: BusId | None = None
-    bus: BusId | None = None
+    line: BusId | None = None  #: the bus that the line feeds
+    bus: BusId | None = None  #: a bus that is out itself, with all of its lines
+    #: Whether plans see it before it begins. Once it has begun they know its end in any case.
     known: bool = True
 
     def __post_init__(self) -> None:
@@ -103,18 +93,10 @@ def check_places(faults: Iterable[LineFault], network: Network) -> None:
 
 @dataclass(frozen=True, eq=False)
 class OutOfService:
-    """Lines and buses that are out in W steps.
+    """Lines and buses that are out in W steps."""
 
-    Parameters
-    ----------
-    lines : array of bool, shape (W, L)
-        Lines that carry nothing.
-    buses : array of bool, shape (W, N)
-        Buses at which nothing can be supplied.
-    """
-
-    lines: Flags
-    buses: Flags
+    lines: Flags  #: lines that carry nothing, (W, L)
+    buses: Flags  #: buses at which nothing can be supplied, (W, N)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -84,29 +84,6 @@ TIMES = (
 class OutageWarning:
     """One message about an outage: that it may come, how long it lasts, or the all-clear.
 
-    Parameters
-    ----------
-    issued_at : pandas.Timestamp
-        When it was issued, with time zone; it is not known before.
-    outage : str
-        Which outage it speaks of, where several are expected; the last message about each counts.
-    preset : str
-        Name of a kind of warning (:mod:`vppres.outlook.presets`) that fills in what is not given.
-    onset_earliest, onset_likely, onset_latest : pandas.Timestamp, optional
-        When the outage begins. Only the likely one: then for certain.
-    probability : float, optional
-        Probability that it comes to *this* feeder; 0 is the all-clear.
-    duration_p10_h, duration_p50_h, duration_p90_h : float, optional
-        Length of the whole outage in h that it stays below with a probability of 10, 50 and 90 %.
-        Only the median: then for certain, if it was said before the outage; an estimate of one that
-        has begun gets the spread of estimates (:class:`OutageStatistics`).
-    restored_not_before, restored_likely, restored_by : pandas.Timestamp, optional
-        What a crew says of the end: that the grid is not back earlier; an estimate, as a time and
-        not as a length; that it is back by then ("within the hour"), which is a notice.
-    onset, length : optional
-        Distributions instead of the three times and the three lengths, which then sum them up for
-        people.
-
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00Z")
@@ -114,19 +91,30 @@ class OutageWarning:
     False
     """
 
-    issued_at: pd.Timestamp
+    issued_at: pd.Timestamp  #: when it was issued, with time zone; it is not known before
+    #: Which outage it speaks of, where several are expected; the last message about each counts.
     outage: str = ""
+    #: Name of a kind of warning (:mod:`vppres.outlook.presets`) that fills in what is not given.
     preset: str = ""
+    #: When the outage begins. Only the likely one: then for certain.
     onset_earliest: pd.Timestamp | None = None
     onset_likely: pd.Timestamp | None = None
     onset_latest: pd.Timestamp | None = None
+    #: Probability that it comes to *this* feeder; 0 is the all-clear.
     probability: float | None = None
+    #: Length of the whole outage in h that it stays below with a probability of 10, 50 and 90 %.
+    #: Only the median: then for certain, if it was said before the outage; an estimate of one that
+    #: has begun gets the spread of estimates (:class:`OutageStatistics`).
     duration_p10_h: float | None = None
     duration_p50_h: float | None = None
     duration_p90_h: float | None = None
+    #: What a crew says of the end: that the grid is not back earlier; an estimate, as a time and
+    #: not as a length; that it is back by then ("within the hour"), which is a notice.
     restored_not_before: pd.Timestamp | None = None
     restored_likely: pd.Timestamp | None = None
     restored_by: pd.Timestamp | None = None
+    #: Distributions instead of the three times and the three lengths, which then sum them up for
+    #: people.
     onset: OnsetShares | None = None
     length: OutageLength | None = None
 
@@ -198,42 +186,29 @@ class OutageStatistics:
 
     What is None is that of the preset (:mod:`vppres.outlook.presets`).
 
-    Parameters
-    ----------
-    preset : str
-        Public figures to begin with.
-    saifi_per_year : float, optional
-        Outages of a customer in a year; 0 for none that is not announced.
-    caidi_h : float, optional
-        Mean length of an outage in h.
-    duration_sigma : float, optional
-        Spread of the length: standard deviation of its logarithm.
-    value_of_lost_load_gbp_per_kwh : float, optional
-        What a kWh that is not supplied is worth beside one that is bought.
-    estimate_p10, estimate_p50, estimate_p90 : float, optional
-        What an outage lasts as a multiple of a lone estimate that is given while it lasts: one in
-        ten less than the first, half of them less than the second, nine in ten less than the third.
-    notice_h : float, optional
-        How long before the end of an outage the crew gives notice; then its silence is news too.
-        None if it gives none as a rule.
-    notice_share, notice_false_share : float, optional
-        Share of outages with such a notice, and of other hours in which it is given in vain.
-
     Examples
     --------
     >>> OutageStatistics(saifi_per_year=0.0) == OutageStatistics()
     False
     """
 
-    preset: str = "average"
+    preset: str = "average"  #: public figures to begin with
+    #: Outages of a customer in a year; 0 for none that is not announced.
     saifi_per_year: float | None = None
-    caidi_h: float | None = None
+    caidi_h: float | None = None  #: mean length of an outage in h
+    #: Spread of the length: standard deviation of its logarithm.
     duration_sigma: float | None = None
+    #: What a kWh that is not supplied is worth beside one that is bought.
     value_of_lost_load_gbp_per_kwh: float | None = None
+    #: What an outage lasts as a multiple of a lone estimate that is given while it lasts: one in
+    #: ten less than the first, half of them less than the second, nine in ten less than the third.
     estimate_p10: float | None = None
     estimate_p50: float | None = None
     estimate_p90: float | None = None
+    #: How long before the end of an outage the crew gives notice; then its silence is news too.
+    #: None if it gives none as a rule.
     notice_h: float | None = None
+    #: Share of outages with such a notice, and of other hours in which it is given in vain.
     notice_share: float | None = None
     notice_false_share: float | None = None
 

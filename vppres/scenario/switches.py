@@ -39,52 +39,33 @@ class Switches(Items):
 
     A closed switch stands on a line of the network, between whose buses it is. An open one is no
     line: closed lines alone are the tree.
-
-    Parameters
-    ----------
-    id : array of str
-        Names.
-    from_bus, to_bus : array of bus identifiers
-        Ends; of a closed switch those of its line.
-    kind : array of str
-        One of :data:`KINDS`.
-    closed : array of bool
-        Whether it is closed.
-    operable : array of bool
-        Whether it can be moved at all; True if not given.
-    locked : array of str
-        Why it must stay as it is for now; empty if it need not.
-    r_ohm, x_ohm : array
-        Series impedance of an open switch with its line, referred to the network's voltage; NaN
-        for a closed one.
-    i_max_a : array
-        Thermal rating of an open one; infinite where there is none.
-    operation_cost : array
-        Price of an operation in weighted customer hours; 0 if not given.
-    max_operations_per_day : array
-        Most operations in 24 hours; infinite without a limit.
-    minutes_to_operate : array
-        Time from the decision to the new state; 0 if not given.
-    parallel_allowed : array of bool
-        Whether it may close a loop for a while; False if not given.
-    sync_check : array of bool
-        Whether it can compare both sides before it closes; False if not given.
     """
 
     id: Names
+    #: Ends; of a closed switch those of its line.
     from_bus: Names
     to_bus: Names
-    kind: Names
+    kind: Names  #: one of :data:`KINDS`
     closed: Flags
+    #: Whether it can be moved at all; True if not given.
     operable: Flags = field(default_factory=no_items)
+    #: Why it must stay as it is for now; empty if it need not.
     locked: Names = field(default_factory=no_items)
+    #: Series impedance of an open switch with its line, referred to the network's voltage; NaN for
+    #: a closed one.
     r_ohm: Floats = field(default_factory=no_items)
     x_ohm: Floats = field(default_factory=no_items)
+    #: Thermal rating of an open one; infinite where there is none.
     i_max_a: Floats = field(default_factory=no_items)
+    #: Price of an operation in weighted customer hours; 0 if not given.
     operation_cost: Floats = field(default_factory=no_items)
+    #: Most operations in 24 hours; infinite without a limit.
     max_operations_per_day: Floats = field(default_factory=no_items)
+    #: Time from the decision to the new state; 0 if not given.
     minutes_to_operate: Floats = field(default_factory=no_items)
+    #: Whether it may close a loop for a while; False if not given.
     parallel_allowed: Flags = field(default_factory=no_items)
+    #: Whether it can compare both sides before it closes; False if not given.
     sync_check: Flags = field(default_factory=no_items)
 
     def __post_init__(self) -> None:

@@ -20,15 +20,8 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 class Denied(Exception):
     """A request that may not do what it asks.
 
-    Parameters
-    ----------
-    status : int
-        401 where the sender is not known, 403 where it is known and not enough, 429 where it is too
-        often.
-    message : str
-        Why.
-    wait_s : float, optional
-        After which it may be asked again.
+    Its status is 401 where the sender is not known, 403 where it is known and not enough, and 429
+    where it is too often: then it may be asked again after ``wait_s``.
     """
 
     def __init__(self, status: int, message: str, wait_s: float = 0.0) -> None:

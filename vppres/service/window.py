@@ -60,16 +60,8 @@ class Window:
     ) -> tuple[Floats, list[str]]:
         """Expected values, (W, items), and lost items for which they are cautious.
 
-        Parameters
-        ----------
-        quantity : {"load_kw", "pv_kw"}
-            Of customers or PV systems.
-        ids : iterable
-            These.
-        forecast : Forecasts, optional
-            The one that was issued last; over it stands nothing, under it the profile.
-        lost : iterable of str
-            Who has been silent for too long.
+        Over the ``forecast``, the one that was issued last, stands nothing, and under it the
+        profile. Those that are ``lost`` have been silent for too long.
         """
         table = self.series[quantity].copy()
         columns = {str(name): column for column, name in enumerate(ids)}

@@ -33,27 +33,6 @@ class SwitchingRules:
 
     One action is one customer switched off or on. Times are rounded up to whole steps.
 
-    Parameters
-    ----------
-    min_served_h : float
-        How long a customer is served at least once it is restored, in h.
-    min_unserved_h : float
-        How long a customer stays off at least once it is switched off, in h.
-    price_per_action : float
-        Price of an action in weighted customer hours. Switching off pays for the restoration too,
-        so that no customer is off supply to save it.
-    max_actions_per_customer : int or None
-        Most actions of one customer in each 24 h from the first step on; an off/on pair is two.
-    stay_restored : bool
-        Whether a customer that was restored after an interruption is never switched off again.
-    cold_load_factor : float
-        Demand after a restoration as a multiple of the usual one, at least 1.
-    cold_load_h : float
-        How long that lasts, in h; at least one step where the factor exceeds 1.
-    move_weight : float
-        What moving a battery by its rated power away from the previous plan is worth, in kW of
-        line losses; it decides among dispatches of equal service, curtailment and cost only.
-
     Raises
     ------
     InputError
@@ -67,13 +46,22 @@ class SwitchingRules:
     (False, True)
     """
 
-    min_served_h: float = 0.0
+    min_served_h: float = 0.0  #: how long a customer is served at least once it is restored, in h
+    #: How long a customer stays off at least once it is switched off, in h.
     min_unserved_h: float = 0.0
+    #: Price of an action in weighted customer hours. Switching off pays for the restoration too,
+    #: so that no customer is off supply to save it.
     price_per_action: float = 0.0
+    #: Most actions of one customer in each 24 h from the first step on; an off/on pair is two.
     max_actions_per_customer: int | None = None
+    #: Whether a customer that was restored after an interruption is never switched off again.
     stay_restored: bool = False
+    #: Demand after a restoration as a multiple of the usual one, at least 1.
     cold_load_factor: float = 1.0
+    #: How long that lasts, in h; at least one step where the factor exceeds 1.
     cold_load_h: float = 0.0
+    #: What moving a battery by its rated power away from the previous plan is worth, in kW of line
+    #: losses; it decides among dispatches of equal service, curtailment and cost only.
     move_weight: float = 0.0
 
     def __post_init__(self) -> None:

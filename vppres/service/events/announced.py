@@ -55,15 +55,8 @@ def limits_kw(events: Iterable[Event], window: Window) -> Floats:
 def announced_kw(events: Iterable[Event], window: Window, own_days: bool) -> Floats | None:
     """Import limits that are known beforehand, (W,), NaN where none is; None if nothing is.
 
-    Parameters
-    ----------
-    events : iterable of Event
-        What is announced.
-    window : Window
-        The steps.
-    own_days : bool
-        Whether the scenario's own days come, as in a rehearsal: then its limits ahead are what
-        is not known, and the one of now is taken to stay. Those of a profile are known.
+    Limits of a profile are known. Where the scenario's own days come, as in a rehearsal, its limits
+    ahead are what is not known, and the one of now is taken to stay.
     """
     known = window.series["grid_limit_kw"]
     if own_days:

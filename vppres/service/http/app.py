@@ -38,19 +38,8 @@ def make_app(
 ) -> FastAPI:
     """The service's routes around a runner.
 
-    Parameters
-    ----------
-    runner : Runner
-        Who decides.
-    access : Access
-        Who may ask.
-    hosts : sequence of str
-        Names under which the service answers; a page of a stranger that calls it by its own name
-        gets nothing.
-    encrypted : bool
-        Whether it listens with TLS itself.
-    rates : mapping of str to Rate, optional
-        How often may be asked, by scope; a rehearsal has no limit.
+    It answers under the names ``hosts`` alone: a page of a stranger that calls it by its own name
+    gets nothing. ``rates`` say by scope how often may be asked; a rehearsal has no limit.
     """
     app = FastAPI(
         title="vppres",

@@ -52,16 +52,8 @@ class Perimeter:
     A browser sends whatever a page of a stranger asks it to, to this machine too. It names the
     host that the page believes to ask and, where something may change, the page's origin.
 
-    Parameters
-    ----------
-    app : ASGI application
-        The routes.
-    guard : Guard
-        The senders it knows; what they may, the routes ask.
-    hosts : iterable of str
-        Names of the service, ``*`` for any.
-    encrypted : bool
-        Whether it listens with TLS itself.
+    The guard knows the senders; what they may, the routes ask. ``hosts`` are names of the service,
+    ``*`` for any, and ``encrypted`` says that it listens with TLS itself.
     """
 
     def __init__(

@@ -47,47 +47,22 @@ LACKING = "{} is closed or would be, and has not all three phases at both ends."
 
 @dataclass(frozen=True, eq=False)
 class Switchgear:
-    """Switches of a site, as they are and as they are asked for.
+    """Switches of a site, as they are and as they are asked for."""
 
-    Parameters
-    ----------
-    step : Scenario
-        One step of the site, with its measured loads.
-    read : mapping
-        States by switch, by its last reading.
-    of_plan : array of bool, shape (E,)
-        Lines and ties that are closed in the present plan.
-    proposed : mapping
-        Operations that it proposes; empty if it proposes none.
-    soc : array, shape (B,)
-        States of charge.
-    asked : mapping
-        The setting: ``closed`` by switch, and the operation that is ``issued``; may be empty.
-    carried_out : bool
-        Whether the operation that is issued was seen in a reading since.
-    set_points : sequence of mapping
-        Set-points of all devices now.
-    has_grid : bool
-        Whether there is grid: without it devices give and take what their set-points say.
-    source : bool
-        Whether the grid's bus has a source: the grid, or in paper mode's islands one of its own.
-    is_lit : bool
-        Whether devices that can form the grid of an island do.
-    now : pandas.Timestamp
-        The moment.
-    """
-
-    step: Scenario
-    read: Mapping[str, bool]
-    of_plan: Flags
-    proposed: Mapping[str, Any]
-    soc: Floats
+    step: Scenario  #: one step of the site, with its measured loads
+    read: Mapping[str, bool]  #: states by switch, by its last reading
+    of_plan: Flags  #: lines and ties that are closed in the present plan, (E,)
+    proposed: Mapping[str, Any]  #: operations that it proposes; empty if it proposes none
+    soc: Floats  #: states of charge, (B,)
+    #: The setting: ``closed`` by switch, and the operation that is ``issued``; may be empty.
     asked: Mapping[str, Any]
-    carried_out: bool
-    set_points: Sequence[Mapping[str, Any]]
+    carried_out: bool  #: whether the operation that is issued was seen in a reading since
+    set_points: Sequence[Mapping[str, Any]]  #: of all devices now
+    #: Whether there is grid: without it devices give and take what their set-points say.
     has_grid: bool
+    #: Whether the grid's bus has a source: the grid, or in paper mode's islands one of its own.
     source: bool
-    is_lit: bool
+    is_lit: bool  #: whether devices that can form the grid of an island do
     now: pd.Timestamp
 
     @cached_property

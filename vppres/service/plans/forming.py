@@ -34,16 +34,8 @@ def formers_now(
 ) -> list[FormerState]:
     """Devices that are there to form the grid.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The site.
-    plan : mapping
-        The last plan, empty before the first: what it does without.
-    soc : mapping
-        States of charge as far as they are known.
-    failing : mapping
-        Devices that do not follow, and why.
+    The last plan is empty before the first; ``soc`` has states of charge as far as they are known,
+    and ``failing`` devices that do not follow, and why.
     """
     units = (
         FormerState(name, kind, failing.get(name, "") or why)

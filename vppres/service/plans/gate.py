@@ -27,19 +27,8 @@ def refusals(
 ) -> dict[tuple[str, str], str]:
     """Set-points that may not be sent, with reasons.
 
-    Parameters
-    ----------
-    wanted : mapping of str to DataFrame
-        Set-points by kind of device, each by identifier.
-    scenario : Scenario
-        The site: ratings and step length.
-    soc : mapping of str to float
-        State of charge of batteries as far as it is known.
-
-    Returns
-    -------
-    dict
-        Reason by kind, such as ``batteries``, and identifier.
+    Reasons are by kind, such as ``batteries``, and identifier. ``soc`` has the states of charge of
+    batteries as far as they are known.
     """
     found: dict[tuple[str, str], str] = {}
     for kind, table in wanted.items():

@@ -26,18 +26,10 @@ def ruled(
 ) -> Tables:
     """Set-points by rule, which needs no solver.
 
-    Parameters
-    ----------
-    now : Scenario
-        The step, with the import limit that is known, 0 in an outage.
-    soc : mapping of str to float
-        States of charge that were read; a battery without one rests.
-    lost : mapping
-        Customers that cannot be supplied.
-    before : mapping of str to DataFrame
-        Set-points of the last step by kind: units that are started and stopped keep theirs.
-    needs_former : bool, optional
-        Whether islands need a battery that forms their grid, as in physical mode.
+    ``now`` is the step with the import limit that is known, 0 in an outage. A battery without a
+    state of charge that was read rests, customers that are ``lost`` are off, and units that are
+    started and stopped keep their set-points of ``before``. In physical mode an island
+    ``needs_former``: a battery that forms its grid.
     """
     site = Site.of(now)
     b = site.batteries

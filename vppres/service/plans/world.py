@@ -33,12 +33,7 @@ Series = Mapping[str, Any]  # readings as ``POST /v1/telemetry`` takes them
 class World:
     """The plant of a scenario, step after step.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What comes.
-    options : RunOptions
-        Of which the mode, the switching rules and heating say how the plant behaves.
+    Mode, switching rules and heating of the options say how it behaves.
     """
 
     def __init__(self, scenario: Scenario, options: RunOptions) -> None:

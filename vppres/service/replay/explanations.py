@@ -12,7 +12,7 @@ import os
 import pickle
 import resource
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -89,10 +89,9 @@ def _expected(
 ) -> Scenario:
     """The steps from the explained one on as its plan saw them, the profile where that is lost."""
     limits_kw = scenario.grid_limit_kw.copy()
-    said = [plan["expected"]["grid_limit_kw"], *plan["ahead"]["grid_limit_kw"]][
-        : len(limits_kw) - t
-    ]
-    limits_kw[t : t + len(said)] = [np.inf if limit is None else limit for limit in said]
+    said = [plan["expected"]["grid_limit_kw"], *plan["ahead"]["grid_limit_kw"]]
+    said = [np.inf if limit is None else limit for limit in said][: len(limits_kw) - t]
+    limits_kw[t : t + len(said)] = said
     if not plan["grid"]["available"]:
         limits_kw[t] = 0.0
     series = {"grid_limit_kw": limits_kw}
@@ -129,21 +128,32 @@ def explained(asked: Replay) -> dict[str, Any]:
         for row in shadow_prices
         if row["constraint"] == "stored_energy"
     ]
+    reasons = [
+        _of_device(KINDS[row["item"]], row["id"], row["action"], _reason(row)) for row in actions
+    ]
+    return _answer(step["phase"], _reason(step), reasons, "The step has no shadow prices.", prices)
+
+
+def _answer(
+    phase: str | None,
+    step: Mapping[str, Any],
+    reasons: Sequence[Mapping[str, Any]],
+    why_no_price: str,
+    prices: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """Phase, reason and prices of a step, and reasons of its devices."""
     return {
-        "phase": step["phase"],
-        "step": _reason(step),
-        "reasons": [
-            {
-                "kind": KINDS[row["item"]],
-                "asset": row["id"],
-                "action": row["action"],
-                **_reason(row),
-            }
-            for row in actions
-        ],
+        "phase": phase,
+        "step": step,
+        "reasons": reasons,
         "price": prices or None,
-        "price_reason": None if prices else "The step has no shadow prices.",
+        "price_reason": None if prices else why_no_price,
     }
+
+
+def _of_device(kind: str, asset: str, action: str, reason: Mapping[str, Any]) -> dict[str, Any]:
+    """Reason of what a device does."""
+    return {"kind": kind, "asset": asset, "action": action, **reason}
 
 
 def _foreseen(
@@ -177,43 +187,25 @@ def blacked_out(plan: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
         each = [f"{one.asset} ({one.why_not})" for one in formers]
         words = f"{words}: not {named(each, FORMERS_SHOWN)}"
     told = {"driver": "dark", "binding": ""}
-    return {
-        "phase": "island",
-        "step": {**told, "words": f"The island is blacked out: {words}."},
-        "reasons": [
-            {
-                "kind": one["kind"],
-                "asset": one["asset"],
-                "action": action,
-                **told,
-                "words": f"Not supplied: {words}.",
-            }
-            for one in plan["setpoints"]
-            if (action := _action(one)) == NOT_SERVED
-        ],
-        "price": None,
-        "price_reason": "The island is blacked out.",
-    }
+    off = {**told, "words": f"Not supplied: {words}."}
+    reasons = [
+        _of_device(one["kind"], one["asset"], NOT_SERVED, off)
+        for one in plan["setpoints"]
+        if _action(one) == NOT_SERVED
+    ]
+    step = {**told, "words": f"The island is blacked out: {words}."}
+    return _answer("island", step, reasons, "The island is blacked out.")
 
 
 def unsolved(plan: Mapping[str, Any], why_no_price: str) -> dict[str, Any]:
     """Explanation from the plan alone, where no window can be solved again."""
-    return {
-        "phase": None,
-        "step": _told(plan.get("reason") or plan["status"], plan["status"]),
-        "reasons": [
-            {
-                "kind": one["kind"],
-                "asset": one["asset"],
-                "action": action,
-                **_told(one["reason"], plan["status"]),
-            }
-            for one in plan["setpoints"]
-            if (action := _action(one))
-        ],
-        "price": None,
-        "price_reason": why_no_price,
-    }
+    reasons = [
+        _of_device(one["kind"], one["asset"], action, _told(one["reason"], plan["status"]))
+        for one in plan["setpoints"]
+        if (action := _action(one))
+    ]
+    step = _told(plan.get("reason") or plan["status"], plan["status"])
+    return _answer(None, step, reasons, why_no_price)
 
 
 def _told(words: str, status: str) -> dict[str, Any]:

@@ -247,18 +247,8 @@ def known_at(
 ) -> StepInputs:
     """Inputs at the beginning of a step.
 
-    Parameters
-    ----------
-    time : pandas.Timestamp
-        The step.
-    controller : Controller
-        Whose window is to be known; it knows the outages that are announced.
-    store : Store
-        What was received.
-    own_days : bool, optional
-        Whether the scenario's own days come, whose limits ahead are not known.
-    now : pandas.Timestamp, optional
-        The moment, where the step is decided anew within it.
+    The controller knows the outages that are announced. Where the scenario's ``own_days`` come,
+    limits ahead are not known; ``now`` is the moment of a step that is decided anew within it.
     """
     scenario = controller.scenario
     at = now or time

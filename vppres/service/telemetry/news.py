@@ -50,13 +50,7 @@ def newest(readings: Iterable[Reading]) -> dict[Key, Reading]:
 
 
 class News:
-    """Compares what comes with what was there.
-
-    Parameters
-    ----------
-    store : Store
-        What was received before.
-    """
+    """Compares what comes with what was there."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
