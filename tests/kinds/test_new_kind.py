@@ -21,6 +21,7 @@ import pytest
 import vppres
 from vppres import RunOptions, run_day
 from vppres.io import find_scenario, read_scenario
+from vppres.io.digest import scenario_digest
 
 PACKAGE = Path(vppres.__file__).parent
 FIRST, LAST = 59, 62
@@ -145,6 +146,15 @@ longer = controller.scenario.pool_gain_kw
 print(json.dumps([same, bool((longer == np.vstack([day.pool_gain_kw] * 2)).all()), said]))
 """
 
+WITHOUT = f"""
+import json
+from vppres.io import read_scenario, write_scenario
+from vppres.io.digest import scenario_digest
+day = read_scenario("{find_scenario("two-outages-cigre-mv")}")
+write_scenario(day, "without")
+print(json.dumps([scenario_digest(day), scenario_digest(read_scenario("without"))]))
+"""
+
 
 @pytest.fixture(scope="module")
 def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -219,6 +229,13 @@ def test_a_service_of_another_year_has_the_series_of_the_same_hour(copied: Path)
     p_kw, live_kw, statuses = told(copied, LATER)
     assert max(p_kw) > 0.0
     assert live_kw == pytest.approx(p_kw, abs=1e-5) and statuses == {"ok": 4}
+
+
+@pytest.mark.daily
+def test_a_site_without_the_kind_is_the_site_that_it_was(copied: Path) -> None:
+    """Saved states and runs name the digest of their site."""
+    own = scenario_digest(read_scenario(find_scenario("two-outages-cigre-mv")))
+    assert told(copied, WITHOUT) == [own, own]
 
 
 @pytest.mark.daily

@@ -326,8 +326,11 @@ def _read_series(
             if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
+    # A site without units of a kind has the series of one that does not know the kind.
     stacked = {
-        name: (np.column_stack(list(each.values())) if each else np.empty((n_steps, 0)))
+        name: np.column_stack(list(each.values()))
+        if each
+        else np.empty((0 if name in KIND_SERIES else n_steps, 0))
         for name, each in columns.items()
     }
     return stacked | system, problems
