@@ -19,13 +19,12 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.pages import put_table
-from experiments.studies.phases import FEEDERS, LIMIT_S, scenario_of, table_of
+from experiments.studies.phases import FEEDERS, scenario_of, table_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
-from vppres.solve.result import SolveLimits
 
 BEGIN, END = "<!-- switched: begin -->", "<!-- switched: end -->"
 COLUMNS = (
@@ -40,7 +39,10 @@ COLUMNS = (
     "time of a window, s: median, most",
 )
 OPEN = (("151", "300"), ("54", "94"))
-"""Switches that the circuit has at an end of its own, where the feeder's are open."""
+"""Switches that the circuit has at an end of its own, where the feeder's are open.
+
+Both of their sides hang at one substation: they may close a loop, and compare both sides.
+"""
 
 OHM = 1e-3
 LINES = ("18", "67")
@@ -56,7 +58,10 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
     names = np.array(["-".join(pair) for pair in OPEN], dtype=object)
     kind, closed = np.full(n, "tie", dtype=object), np.zeros(n, dtype=bool)
     ohm = np.full(n, OHM)
-    ties = Switches(names, first, second, kind, closed, r_ohm=ohm, x_ohm=ohm)
+    able = np.ones(n, dtype=bool)
+    ties = Switches(
+        names, first, second, kind, closed, ohm, ohm, parallel_allowed=able, sync_check=able
+    )
     both = {
         f.name: np.concatenate([getattr(day.switches, f.name), getattr(ties, f.name)])
         for f in fields(Switches)
@@ -70,8 +75,7 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
 
 def row(day: Scenario, horizon_h: float, moves: bool) -> str:
     """Cells of a day's run."""
-    limits = SolveLimits(time_s=LIMIT_S)
-    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves, limits=limits))
+    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves))
     day, steps = run.scenario, run.steps
     during = steps["lines_out"].ne("").to_numpy()
     supplied = run.by_step("customers", "served")[during] @ day.customers.weight
