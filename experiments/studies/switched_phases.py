@@ -60,7 +60,15 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
     ohm = np.full(n, OHM)
     able = np.ones(n, dtype=bool)
     ties = Switches(
-        names, first, second, kind, closed, ohm, ohm, parallel_allowed=able, sync_check=able
+        names,
+        first,
+        second,
+        kind,
+        closed,
+        r_ohm=ohm,
+        x_ohm=ohm,
+        parallel_allowed=able,
+        sync_check=able,
     )
     both = {
         f.name: np.concatenate([getattr(day.switches, f.name), getattr(ties, f.name)])
