@@ -75,6 +75,7 @@ def test_what_is_not_compared_and_a_clone_that_fails_say_why(
     assert f"is not cloned from {nowhere['there']} (" in " ".join(done.output.split())
 
 
+@pytest.mark.daily
 def test_voltages_that_a_new_folder_must_accept_are_an_option(tmp_path: Path) -> None:
     master = tmp_path / "far.dss"
     apart = SCRIPT.replace("kw=100", "kw=1000 vminpu=1")  # drawn as an impedance far below it

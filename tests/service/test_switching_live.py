@@ -486,6 +486,7 @@ def test_a_dark_island_has_no_voltage_to_check(tmp_path: Path) -> None:
         assert told["operations"][0].startswith("open s: its line has no supply")
 
 
+@pytest.mark.daily
 def test_a_customer_behind_open_switches_is_off_for_them(tmp_path: Path) -> None:
     """Nobody is told that a customer is off although there is grid: there is none behind them."""
     service = Service(switched(), replace(HERE, mode="physical"), paced=True)
