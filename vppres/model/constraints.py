@@ -21,10 +21,6 @@ from vppres.model.variables import Parameters, Variables
 # Constraints by the names of their equations.
 Named = dict[str, cp.Constraint]
 
-BLOCK = 2500
-"""Most values of a parameter that are multiplied at once: what cvxpy takes for a product grows with
-their square, and with 4,000 customers in 5 steps that is 3 GB."""
-
 
 # Battery storage.
 
@@ -120,7 +116,7 @@ def injected_and_drawn(
 ) -> tuple[cp.Expression, cp.Expression]:
     """Injection (9) and load (10) of every bus, (W, N) each."""
     P_inj = at_buses(site.pv_bus, v.P_exp) - v.P_batt @ site.battery_bus.T
-    P_served = of_served(p.P_load, v)
+    P_served = cp.multiply(p.P_load, v.x_served)
     P_load = at_buses(site.customer_bus, P_served) - at_buses(site.pv_bus, v.P_self)
     if p.P_added is not None:
         P_load = P_load + p.P_added
@@ -130,7 +126,7 @@ def injected_and_drawn(
 def reactive_balance(site: Site, v: Variables, p: Parameters) -> Named:
     """Reactive balance at every bus (11), with its injection (12) and its load (13), (14)."""
     Q_inj = v.Q_pv @ site.pv_bus.T + v.Q_batt @ site.battery_bus.T
-    Q_served = of_served(p.Q_load, v)
+    Q_served = cp.multiply(p.Q_load, v.x_served)
     Q_load = at_buses(site.customer_bus, Q_served)
     if p.Q_added is not None:
         Q_load = Q_load + p.Q_added
@@ -183,15 +179,6 @@ def delta_lindistflow(site: Site, v: Variables, p: Parameters) -> Named:
     u_j = v.u[:, 1:]
     u_i = v.u[:, net.parent]
     return {"delta_lindistflow": u_j == u_i - drop + p.delta}
-
-
-def of_served(demand: cp.Parameter, v: Variables) -> cp.Expression:
-    """Demand of those who are served, (W, C), in blocks of customers where there are many."""
-    W, C = demand.shape
-    count = max(BLOCK // W, 1)
-    blocks = [slice(first, first + count) for first in range(0, C, count)]
-    parts = [cp.multiply(demand[:, each], v.x_served[:, each]) for each in blocks]
-    return cp.hstack(parts) if len(parts) > 1 else cp.multiply(demand, v.x_served)
 
 
 def at_buses(bus: sp.csr_array, power: cp.Expression) -> cp.Expression:

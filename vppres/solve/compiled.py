@@ -73,7 +73,7 @@ def affine(constraint: cp.Constraint) -> Affine:
         none = np.zeros(0, dtype=np.int64)
         rows = Linear(none, none, sp.csr_array((0, 1)), (0, 0))
         return Affine(rows, 0, {}, [], 1, np.zeros(0), np.zeros(0))
-    problem = cp.Problem(cp.Minimize(0), [constraint])
+    problem = cp.Problem(cp.Minimize(0), [_by_diagonals(constraint)])
     data, chain, _ = problem.get_problem_data(cp.HIGHS, canon_backend=COMPILER)
     program = data["param_prob"]
     size = len(data["c"])
@@ -94,6 +94,22 @@ def affine(constraint: cp.Constraint) -> Affine:
         lower=lower,
         upper=upper,
     )
+
+
+def _by_diagonals(part: Any) -> Any:
+    """A constraint or expression with diagonal matrices for its parameters times letters.
+
+    The compiled rows are equal. For ``multiply`` cvxpy makes a matrix as long as the square of the
+    parameter's size.
+    """
+    if not part.args or not part.parameters():
+        return part
+    args = [_by_diagonals(each) for each in part.args]
+    if isinstance(part, cp.multiply) and part.variables():
+        factor, letters = args if args[1].variables() else args[::-1]
+        product = cp.diag(cp.vec(factor, order="F")) @ cp.vec(letters, order="F")
+        return cp.reshape(product, part.shape, order="F")
+    return part.copy(args)
 
 
 def _first_columns(

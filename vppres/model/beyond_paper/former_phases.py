@@ -11,7 +11,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Taken
-from vppres.model.constraints import Named, of_served
+from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
 from vppres.model.phases import REACH, SupplyKey, phased_model
@@ -126,7 +126,7 @@ def drawn_by_assets(
     W = v.x_served.shape[0]
     tables = {"customers": site.customers, "pv": site.pv, "batteries": site.batteries}
     drawn: dict[str, list[Any]] = {
-        "customers": [of_served(p.P_load, v), of_served(p.Q_load, v)],
+        "customers": [cp.multiply(load, v.x_served) for load in (p.P_load, p.Q_load)],
         "pv": [v.P_curt - p.P_pv, -v.Q_pv],
         "batteries": [v.P_ch - v.P_dch, -v.Q_batt],
     }
