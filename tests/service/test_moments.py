@@ -10,10 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.homes import homes
-from tests.support.live_service import HERE, NOON, heard, readings, said, serving, site
-from tests.support.sets import gensets
-from tests.support.vans import van
+from tests.support.live_service import HERE, NOON, heard, readings, said, serving, with_units
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.operation.runner import Service
@@ -23,23 +20,10 @@ MOMENTS = (0, 20, 45, 60, 75)
 """Minutes after noon at which the site is decided; a step is an hour."""
 
 
-def crowded(tiny: Scenario) -> Scenario:
-    """The site with a van, a home that is cooled, and a set that runs in an outage."""
-    day = site(tiny)
-    charger, vehicle = van(NOON.floor("1D"), NOON.floor("1D") + pd.Timedelta("22h"))
-    return replace(
-        day,
-        chargers=charger,
-        sessions=vehicle,
-        thermal_loads=homes(str(day.customers.id[0])),
-        gensets=gensets(1),
-    )
-
-
 def played(tiny: Scenario, folder: Path, told: dict[int, list[Any]], dark: bool) -> list[Any]:
     """Plans of the moments, with what is read at some of them; an event each begins them anew."""
     clock, plans = SetClock(NOON), []
-    service = Service(crowded(tiny), replace(HERE, mode="paper"))
+    service = Service(with_units(tiny), replace(HERE, mode="paper"))
     with serving(service, folder, clock) as (http, runner):
         if dark:
             storm = {"type": "outage", "start": NOON.isoformat()}
@@ -119,3 +103,23 @@ def test_a_tank_has_lost_what_its_set_burnt_since(tiny: Scenario, tmp_path: Path
         litres -= burnt
         assert plan["expected"]["gensets"]["g0"]["fuel_litres"] == pytest.approx(litres, abs=1e-6)
     assert litres < 55.0
+
+
+def test_what_a_charger_says_once_is_not_late(tiny: Scenario, tmp_path: Path) -> None:
+    """A vehicle says what it needs and when it leaves as it comes; its silence is no alarm."""
+    clock = SetClock(NOON)
+    with serving(Service(with_units(tiny), HERE), tmp_path, clock) as (http, runner):
+        leaves = (NOON + 540 * MINUTES).timestamp()
+        told = {"plugged": 1.0, "energy_needed_kwh": 20.0, "departure": leaves}
+        series = [
+            one for name, value in told.items() for one in readings(NOON, name, {"k0": value})
+        ]
+        http.post("/v1/telemetry", {"series": series})
+        for hour in range(7):
+            now = NOON + 60 * hour * MINUTES
+            clock.set(now)
+            http.post("/v1/telemetry", heard(now))
+            plan = runner.step()
+            runner.check_alarms()
+        assert plan["late"] == [] and plan["expected"]["vehicles"]["k0"]["needed_kwh"] == 20.0
+        assert http.get("/v1/alarms").json()["alarms"] == []

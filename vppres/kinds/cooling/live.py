@@ -178,7 +178,7 @@ class Indoor(UnitsNow):
 
     @classmethod
     def of(cls, moment: Moment, told_c: Floats, read_c: Floats, past: Felt) -> Indoor:
-        """Temperatures as they were told, and as these readings are now, NaN without one."""
+        """Temperatures of readings, as they were read and as they are now, NaN without one."""
         loads = moment.window.thermal_loads
         ids = loads.id
         read = np.isfinite(read_c)

@@ -103,7 +103,7 @@ class PluggedInVehicles:
         pairs = zip(_since(moment.window, 0), self.since, strict=True)
         stays = np.array([name != "" and name == before for name, before in pairs], dtype=bool)
         read_h = moment.at_h - read.age_h
-        # An older reading was known when they were told what to take.
+        # An older reading was known when their set-points were made.
         counts = np.isfinite(read.kwh) & ((read_h >= self.at_h - ROUNDING_H) | ~stays)
         dt_h = moment.window.grid.dt_h
         now, then = (moment.held_h(self.at_h, ago_h) / dt_h for ago_h in (0.0, read.age_h))

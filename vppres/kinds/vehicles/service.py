@@ -29,6 +29,7 @@ class ChargingPoints(OfKind):
     direction = "charging_positive"
     states: ClassVar[Mapping[str, float]] = {"plugged": 0.0}
     of_visits = (*HELD, "departure")
+    told_once = ("plugged", "energy_needed_kwh", "departure")
 
     def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of chargers about their vehicles, by quantity.

@@ -399,7 +399,9 @@ class Latest:
         last = {
             (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
         }
-        return cls(found, heard, values, last)
+        once = {name for kind in every().values() for name in kind.told_once}
+        late = [h for h in heard if h.state == "ok" or h.quantity not in once]
+        return cls(found, late, values, last)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
