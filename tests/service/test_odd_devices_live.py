@@ -15,7 +15,16 @@ import pandas as pd
 import pytest
 
 from tests.support.homes import hot
-from tests.support.live_service import HERE, NOON, client, decided, readings, serving, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    client,
+    decided,
+    readings,
+    serving,
+    site,
+    with_units,
+)
 from tests.support.played_service import Here, crowded
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK
@@ -150,3 +159,42 @@ def test_a_thermometer_that_stands_still_while_the_room_swings_is_found() -> Non
         step = controller.step(Measurement(time, indoor_c={"h0": 24.0}))
         words.append(step.solve["estimated"])
     assert words == ["", "", "", "indoor_c h0 23.2 (frozen)"]
+
+
+def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """It stays as it was: nobody is switched off for it, and a set that runs on forms the grid."""
+    c = site(tiny).customers
+    share_min = np.where(c.id == "shop", 0.5, 1.0)
+    day = with_units(tiny, customers=replace(c, share_min=share_min))
+    clock = SetClock(NOON)
+    asked = [
+        {"kind": "customers", "asset": "shop", "served": True, "share": 0.5},
+        {"kind": "customers", "asset": "homes", "served": False},
+        {"kind": "gensets", "asset": "g0", "p_kw": 0.0},
+        {"kind": "chargers", "asset": "k0", "p_limit_kw": 2.0},
+        {"kind": "thermal_loads", "asset": "h0", "setpoint_c": 22.0},
+        {"kind": "pv", "asset": str(day.pv.id[0]), "p_kw": 0.0},
+    ]
+    names = {str(one["asset"]) for one in asked}
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+        plan = decided(http, clock, NOON)
+        until = {"until": "2026-11-21T13:00:00Z", "reason": "work"}
+        http.put("/v1/mode", {"mode": "manual", **until, "setpoints": asked})
+        clock.set(NOON + HOUR / 4)
+        plan = runner.anew() or {}
+        points = {one["asset"]: one for one in plan["setpoints"] if one["asset"] in names}
+        for one in points.values():
+            answer = http.post(f"/v1/setpoints/{one['id']}/status", {"status": "rejected"})
+            assert answer.status == 200
+        runner.check_alarms()
+        alarms = http.get("/v1/alarms").json()["alarms"]
+        assert {one["subject"] for one in alarms if one["kind"] == "setpoint_rejected"} == names
+        texts = {one["subject"]: one["text"] for one in alarms}
+        assert texts["k0"] == "k0 did not follow its set-point: rejected."
+        plan = decided(http, clock, NOON + HOUR)
+        assert plan["lost"] == [] and not plan["expected"]["gensets"]["g0"]["out"]
+        assert all(one["served"] for one in plan["setpoints"] if one["kind"] == "customers")
+        left = http.get("/v1/alarms").json()["alarms"]
+        assert all(one["cleared_at"] for one in left if one["kind"] == "setpoint_rejected")

@@ -202,7 +202,7 @@ SEQUENCES: dict[str, list[Row]] = {
     ],
     "health and metrics say whether there is a plan": [
         ("12:00", "GET /livez", None, 200, {}),
-        ("12:00", "GET plan", None, 200, {"": {"status": "none"}}),
+        ("12:00", "GET plan", None, 200, {"status": "none", "reason": "The first step is being decided."}),
         ("12:00", "GET /readyz", None, 503, {"checks.plan": False}),
         ("12:00", "decide", 0.5, 200, {}),
         ("12:00", "GET /readyz", None, 200, {}),

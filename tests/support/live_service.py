@@ -13,7 +13,10 @@ import pandas as pd
 
 import vppres
 from tests.support.asgi import Caller
+from tests.support.homes import homes
 from tests.support.long_days import repeated
+from tests.support.sets import gensets
+from tests.support.vans import van
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -40,6 +43,15 @@ def site(tiny: Scenario, minutes: int = 60) -> Scenario:
     day = repeated(tiny, n_steps)
     grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), float(minutes), n_steps)
     return replace(day, grid=grid, grid_limit_kw=np.full(n_steps, np.inf))
+
+
+def with_units(tiny: Scenario, **more: Any) -> Scenario:
+    """The site with a van, a home that is cooled, and a set that runs in an outage."""
+    day = site(tiny)
+    charger, vehicle = van(NOON.floor("1D"), NOON.floor("1D") + pd.Timedelta("22h"))
+    units = {"chargers": charger, "sessions": vehicle, "gensets": gensets(1)}
+    home = homes(str(day.customers.id[0]))
+    return replace(day, **units, thermal_loads=home, **more)
 
 
 @contextmanager

@@ -99,6 +99,8 @@ class LivePart(Protocol):
         Those of them that devices send to a service.
     MEANS : tuple of str
         Those that are means since the last decision.
+    HELD : tuple of str
+        Those that set-points change: they are followed from the time of a reading on.
     SETPOINT : str
         Number of a set-point that an operator gives.
     NUMBERS : tuple of str
@@ -108,13 +110,13 @@ class LivePart(Protocol):
     SHOWN, FIGURES : tuple of str
         Readings, and columns of the units' table, that the page of the service shows.
     PAST : type
-        What a step leaves to the next, written into a controller's state. ``timed`` says whether a
-        step that is decided anew within it goes on from the latest one.
+        The units from a decision on with their set-points, written into a controller's state.
     """
 
     RANGES: Mapping[str, Any]
     QUANTITIES: tuple[str, ...]
     MEANS: tuple[str, ...]
+    HELD: tuple[str, ...]
     SETPOINT: str
     NUMBERS: tuple[str, ...]
     FORESEEN: tuple[str, ...]
@@ -122,7 +124,14 @@ class LivePart(Protocol):
     FIGURES: tuple[str, ...]
     PAST: type[Any]
 
-    def read(self, door: Any, scenario: Any, told: Mapping[str, Any], past: Any) -> tuple[Any, Any]:
+    def read(
+        self,
+        door: Any,
+        scenario: Any,
+        told: Mapping[str, Any],
+        ages_h: Mapping[str, Any],
+        past: Any,
+    ) -> tuple[Any, Any]:
         """The scenario with what a measurement says of it, and readings for ``now``."""
 
     def now(self, moment: Moment, read: Any, past: Any) -> UnitsNow:

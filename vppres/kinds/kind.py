@@ -14,6 +14,9 @@ import numpy as np
 from vppres.core.arrays import ByStep, Flags, Floats, Items, Names, Wholes
 from vppres.core.errors import InputError, Problem
 
+ROUNDING_H = 1e-9
+"""By how much times that are added up may be off."""
+
 
 class KindTable(Items):
     """A file of a kind in a scenario's folder: arrays by column.
@@ -306,11 +309,24 @@ class Moment:
 
     known: Any  #: what was known, the steps since the last decision included
     row: int  #: the step's row in it
-    skipped: range  #: rows since the last decision in which nothing was decided
-    #: Customers that were supplied since, (C,); None before the first decision.
-    served: Flags | None
+    served: Flags  #: customers that were supplied since the last decision, (C,)
     at_h: float  #: the moment, in h since the controller's first step
     window: Any  #: the step and those ahead, as they are measured and expected
+
+    def begun_since(self, since_h: float) -> range:
+        """Rows of the steps that have begun since a time."""
+        dt_h = self.window.grid.dt_h
+        steps = int(self.at_h / dt_h + ROUNDING_H) - int(since_h / dt_h + ROUNDING_H)
+        return range(max(self.row - steps, -1) + 1, self.row + 1)
+
+    def held_h(self, since_h: float, ago_h: Floats | float = 0.0) -> Floats:
+        """How long set-points from a time on have held, up to some time ago, in h.
+
+        They hold up to the end of their step.
+        """
+        dt_h = self.window.grid.dt_h
+        end_h = (np.floor(since_h / dt_h + ROUNDING_H) + 1.0) * dt_h
+        return np.asarray(np.maximum(np.minimum(self.at_h - ago_h, end_h) - since_h, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

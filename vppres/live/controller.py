@@ -399,9 +399,9 @@ class Controller:
         """State before a step, if it is the last one, which is decided again."""
         return self._step_before if row + self._forgotten == self._past.t else None
 
-    def _kinds_before(self, row: int) -> dict[str, Any]:
-        """Units of each kind as they were known before a step."""
-        again = self._before_again(row)
+    def _kinds_before(self, row: int, within: bool) -> dict[str, Any]:
+        """Units of each kind as they were known before a step, or before a moment within it."""
+        again = None if within else self._before_again(row)
         return (again[1] if again else self._past).kinds
 
     def _recall(self, memory: dict[str, Any]) -> None:

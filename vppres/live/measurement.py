@@ -107,6 +107,9 @@ class Measurement(ReadOfKinds):
     genset_ordered_kw : mapping or Series, optional
         The most that each set was ordered to give since the last decision, where that was not what
         was decided; 0 of one that was to stand still. ``running`` says what it does now.
+    read_at : mapping, optional
+        When vehicles, rooms, tanks and sets were read, by quantity and identifier; now, if not
+        given. What their set-points changed since is added.
     ordered_kw : DataFrame, optional
         Set-points of batteries since the last decision, where these differ from it: a row
         for each time from which on it held, a column for each battery.
@@ -137,6 +140,7 @@ class Measurement(ReadOfKinds):
     foretold: Mapping[str, Sequence[str]] | None = None
     now: pd.Timestamp | datetime | str | None = None
     soc_at: Mapping[str, Any] | pd.Series | None = None
+    read_at: Mapping[str, Mapping[str, Any]] | None = None
     ordered_kw: pd.DataFrame | None = None
 
 
@@ -201,7 +205,7 @@ def see(
     measured: Measurement,
     guard: bool = True,
     earliest: int = 0,
-    before: Callable[[int], Mapping[str, Any]] = lambda _: {},
+    before: Callable[[int, bool], Mapping[str, Any]] = lambda *_: {},
 ) -> Seen:
     """Lay a measurement over a scenario.
 
@@ -216,7 +220,7 @@ def see(
     earliest : int, optional
         First step that can still be decided.
     before : callable, optional
-        Units as they were known before a step, by kind.
+        Units as they were known before a step, or a moment within it, by kind.
 
     Raises
     ------
@@ -261,7 +265,7 @@ def _measurement_arrays(
     measured: Measurement,
     guard: bool,
     earliest: int,
-    before: Callable[[int], Mapping[str, Any]],
+    before: Callable[[int, bool], Mapping[str, Any]],
 ) -> Seen:
     """The measurement, read; problems are listed in the order of the readings."""
     door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
@@ -283,10 +287,13 @@ def _measurement_arrays(
     told = _overrides(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
-    past, kinds = before(door.t), {}
+    past, kinds = before(door.t, now > door.begun), {}
     for kind, live in parts("live").items():
+        ids = getattr(scenario, kind).id
         of_kind = {name: getattr(measured, name) for name in live.RANGES}
-        scenario, kinds[kind] = live.read(door, scenario, of_kind, past.get(kind))
+        times = {name: (measured.read_at or {}).get(name) for name in live.RANGES}
+        ages_h = {name: door.ages_h(f"read_at {name}", at, ids, now) for name, at in times.items()}
+        scenario, kinds[kind] = live.read(door, scenario, of_kind, ages_h, past.get(kind))
     door.finish()
     pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
     foretold = measured.foretold or {}

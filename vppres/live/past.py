@@ -72,9 +72,7 @@ class Past:
 
         ``latest`` is the site after the step as it was decided first.
         """
-        live = parts("live")
-        timed = {kind: one for kind, one in latest.kinds.items() if live[kind].PAST.timed}
-        return replace(self, kinds=self.kinds | timed)
+        return replace(self, kinds=latest.kinds)
 
     def switching_at(self, t: int) -> SwitchingState | None:
         """Switching state at a step, set-points held over those in between."""

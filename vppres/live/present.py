@@ -98,7 +98,8 @@ class Present:
         beyond, seen = everything.window(ahead), everything.window(window)
         now = seen.scenario
         row, at_h = everything.t, t * now.grid.dt_h + seen.elapsed_h
-        moment = Moment(known, row, range(row - (t - past.t - 1), row), past.served, at_h, now)
+        served = np.ones(len(now.customers), dtype=bool) if past.served is None else past.served
+        moment = Moment(known, row, served, at_h, now)
         live = parts("live")
         branches = Branches.of(now)
         read = everything.closed if now.follows_switches else {}

@@ -36,7 +36,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 6
+VERSION = 7
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
@@ -139,8 +139,10 @@ def _restored(
         state = _from_version_3(state)
     if "faults" not in state["known"]:
         state = _without_faults(state, scenario.network)
-    if state["version"] != VERSION:
+    if state["version"] < 6:
         state = _without_switches(state, scenario, decider)
+    if state["version"] != VERSION:
+        state = _without_moments(state, scenario.grid.dt_h)
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -182,7 +184,7 @@ def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
-    if state.get("version") not in (3, 4, 5, VERSION):
+    if state.get("version") not in (3, 4, 5, 6, VERSION):
         raise _refused(
             f"has another layout than this version's, {VERSION}",
             "Go on with the version that wrote it, or begin without a state.",
@@ -262,6 +264,22 @@ def _without_switches(
         if isinstance(decider, InConfiguration):
             memory = {"closed": closed, "moved": [], "decider": memory}
         return {"past": {**old["past"], "closed": closed}, "memory": memory}
+
+    return _with_moments(state, moment)
+
+
+def _without_moments(state: dict[str, Any], dt_h: float) -> dict[str, Any]:
+    """A state of version 6 or before, in which vehicles and rooms were those after their step."""
+
+    def moment(old: dict[str, Any]) -> dict[str, Any]:
+        kinds, at_h = old["past"]["kinds"], (old["past"]["t"] + 1) * dt_h
+        after = {"chargers": ("end_kwh", "kwh"), "thermal_loads": ("rests_at_c", "reckoned_c")}
+        kinds = kinds | {
+            kind: {**kinds[kind], "at_h": at_h, name: kinds[kind][same]}
+            for kind, (name, same) in after.items()
+            if kind in kinds
+        }
+        return {**old, "past": {**old["past"], "kinds": kinds}}
 
     return _with_moments(state, moment)
 

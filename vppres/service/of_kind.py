@@ -66,6 +66,8 @@ class OfKind:
         Quantities by which a unit is there or can work, and what stands until they are read.
     of_visits : tuple of str
         Quantities that are read anew of every unit that comes.
+    told_once : tuple of str
+        Quantities that are said when they change alone: they are never late.
     """
 
     kind: str
@@ -73,6 +75,7 @@ class OfKind:
     direction: Direction = ""
     states: ClassVar[Mapping[str, float]] = {}
     of_visits: tuple[str, ...] = ()
+    told_once: tuple[str, ...] = ()
 
     @property
     def live(self) -> Any:

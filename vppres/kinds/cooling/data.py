@@ -66,6 +66,11 @@ class ThermalLoads(Owned, KindTable):
         return np.where(self.heats, cop, -cop)
 
     @property
+    def time_constant_h(self) -> Floats:
+        """Time in which a room loses all but 37% of its distance from rest, (H,)."""
+        return self.r_c_per_kw * self.c_kwh_per_c
+
+    @property
     def held_c(self) -> Floats:
         """The end of the comfort band that a thermostat holds by itself, (H,)."""
         return np.where(self.heats, self.t_min_c, self.t_max_c)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Flags, Floats
 from vppres.core.plain import number_or_none
 from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate, Rooms
-from vppres.kinds.kind import Moment, UnitsNow
+from vppres.kinds.kind import ROUNDING_H, Moment, UnitsNow
 from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
 
@@ -27,6 +27,7 @@ RANGES = {
 
 QUANTITIES = tuple(RANGES)
 MEANS: tuple[str, ...] = ()
+HELD = QUANTITIES
 SETPOINT, NUMBERS = "setpoint_c", ("setpoint_c",)
 """The number that an operator says, and those that a set-point must have."""
 
@@ -81,33 +82,48 @@ def setpoints_c(loads: ThermalLoads, start_c: Floats, end_c: Floats, power_kw: F
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """Rooms and tanks at the end of a step, (H,) each."""
+    """Rooms and tanks from a moment on, in h since the controller's first step, (H,) each."""
 
-    timed: ClassVar[bool] = False
-
+    at_h: float
     read_c: Floats  #: last reading; NaN if there was none
     reckoned_c: Floats  #: what has become of it since it moved last
+    rests_at_c: Floats  #: what it comes to in the long run
     #: The lowest and the highest that it became since then.
     lowest_c: Floats
     highest_c: Floats
-    taken_kw: Floats  #: what machines were to take in the step
+    taken_kw: Floats  #: what machines are to take
 
     @classmethod
-    def before_the_day(cls, scenario: Scenario) -> Felt:
+    def before_the_day(cls, scenario: Scenario, at_h: float) -> Felt:
         """Without readings: the temperatures of the scenario."""
         start_c = scenario.thermal_loads.t_initial_c
         none = np.full(len(start_c), np.nan)
-        return cls(none, start_c, start_c, start_c, np.zeros(len(start_c)))
+        return cls(at_h, none, start_c, start_c, start_c, start_c, np.zeros(len(start_c)))
 
-    def after(self, day: Scenario, steps: range, served: Flags) -> Felt:
-        """After steps in which nothing was decided: thermostats hold the comfort band."""
-        climate = Climate(day)
-        climate.state = self.reckoned_c
-        felt = self
-        for t in steps:
-            climate.advance(t, climate.thermostat_kw(t, day.thermal_loads.held_c, served))
+    def now(self, moment: Moment) -> Felt:
+        """At a moment: in steps in which nothing was decided thermostats hold the band."""
+        held_h = moment.held_h(self.at_h)
+        felt = self.moved_to(self.followed(self.reckoned_c, moment, held_h))
+        climate = Climate(moment.known)
+        climate.state = felt.reckoned_c
+        for t in moment.begun_since(self.at_h)[:-1]:
+            held_c = moment.known.thermal_loads.held_c
+            climate.advance(t, climate.thermostat_kw(t, held_c, moment.served))
             felt = felt.moved_to(climate.state)
         return felt
+
+    def followed(self, t_c: Floats, moment: Moment, held_h: Floats) -> Floats:
+        """Temperatures after so many hours with the set-points."""
+        kept = np.exp(-held_h / moment.window.thermal_loads.time_constant_h)
+        return np.asarray(self.rests_at_c + (t_c - self.rests_at_c) * kept)
+
+    def read_now(self, moment: Moment, read: ReadRooms) -> Floats:
+        """Readings with what set-points made of them since; NaN of those known before, (H,)."""
+        read_h = moment.at_h - read.age_h
+        known = (read_h <= self.at_h + ROUNDING_H) & (read.t_c == self.read_c)
+        known |= read_h < self.at_h - ROUNDING_H
+        held_h = moment.held_h(self.at_h) - moment.held_h(self.at_h, read.age_h)
+        return np.where(known, np.nan, self.followed(read.t_c, moment, held_h))
 
     def moved_to(self, t_c: Floats) -> Felt:
         """Copy with other temperatures by the model."""
@@ -118,24 +134,35 @@ class Felt:
 PAST = Felt
 
 
+@dataclass(frozen=True, eq=False)
+class ReadRooms:
+    """Temperatures that thermometers tell, (H,), NaN without one, and how old these are, in h."""
+
+    t_c: Floats
+    age_h: Floats
+
+
 def read(
-    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: Felt | None
-) -> tuple[Scenario, Floats]:
-    """Temperatures that thermometers tell, NaN where there is none, (H,)."""
+    door: Door,
+    scenario: Scenario,
+    measured: Mapping[str, Any],
+    ages_h: Mapping[str, Floats],
+    past: Felt | None,
+) -> tuple[Scenario, ReadRooms]:
+    """Temperatures as they are read."""
     loads = scenario.thermal_loads
-    return scenario, door.values(
-        "indoor_c", measured["indoor_c"], loads.id, np.full(len(loads), np.nan)
-    )
+    none = np.full(len(loads), np.nan)
+    t_c = door.values("indoor_c", measured["indoor_c"], loads.id, none)
+    return scenario, ReadRooms(t_c, ages_h["indoor_c"])
 
 
-def now(moment: Moment, read_c: Floats, past: Felt | None) -> Indoor:
+def now(moment: Moment, read: ReadRooms, past: Felt | None) -> Indoor:
     """Rooms and tanks in the present step."""
-    loads = moment.window.thermal_loads
-    if past is None or moment.served is None:
-        felt = Felt.before_the_day(moment.known)
+    if past is None:
+        felt, read_c = Felt.before_the_day(moment.known, moment.at_h), read.t_c
     else:
-        felt = past.after(moment.known, moment.skipped, moment.served)
-    return Indoor.of(loads.id, loads.p_max_kw, read_c, felt)
+        felt, read_c = past.now(moment), past.read_now(moment, read)
+    return Indoor.of(moment, read.t_c, read_c, felt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +177,12 @@ class Indoor(UnitsNow):
     felt: Felt
 
     @classmethod
-    def of(cls, ids: Names, p_max_kw: Floats, read_c: Floats, past: Felt) -> Indoor:
-        """The temperatures of these readings, NaN where there is none, after a step."""
+    def of(cls, moment: Moment, told_c: Floats, read_c: Floats, past: Felt) -> Indoor:
+        """Temperatures of readings, as they were read and as they are now, NaN without one."""
+        loads = moment.window.thermal_loads
+        ids = loads.id
         read = np.isfinite(read_c)
-        still = read & (read_c == past.read_c)
+        still = read & (told_c == past.read_c)
         moves = read & ~still
         reckoned_c, lowest_c, highest_c = (
             np.where(moves, read_c, each)
@@ -167,17 +196,23 @@ class Indoor(UnitsNow):
             for kind, flags in (("missing", missing), ("frozen", frozen))
             for i in np.flatnonzero(flags)
         ]
-        read_c = np.where(read, read_c, past.read_c)
-        felt = Felt(read_c, reckoned_c, lowest_c, highest_c, past.taken_kw)
+        felt = replace(
+            past,
+            at_h=moment.at_h,
+            read_c=np.where(read, told_c, past.read_c),
+            reckoned_c=reckoned_c,
+            lowest_c=lowest_c,
+            highest_c=highest_c,
+        )
         taken_kw = float(past.taken_kw.sum())
-        return cls(now_c, taken_kw, float(p_max_kw.sum()), tuple(words), felt)
+        return cls(now_c, taken_kw, float(loads.p_max_kw.sum()), tuple(words), felt)
 
     def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> Felt:
-        """Rooms and tanks after the first step of a day, as far as their readings moved."""
-        climate = Climate(day)
-        climate.state = self.felt.reckoned_c
+        """Rooms and tanks with their set-points from now on."""
         taken_kw = columns["p_kw"]
-        return replace(self.felt.moved_to(climate.after_c(0, taken_kw)), taken_kw=taken_kw)
+        return replace(
+            self.felt, rests_at_c=Climate(day).rests_at_c(0, taken_kw), taken_kw=taken_kw
+        )
 
 
 def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ class Rooms(UnitsAhead):
         """The window that begins with these temperatures."""
         loads = scenario.thermal_loads
         outside_c = scenario.temperature_c[steps.start : steps.stop, None]
-        keeps = np.exp(-scenario.grid.dt_h / (loads.r_c_per_kw * loads.c_kwh_per_c))
+        keeps = np.exp(-scenario.grid.dt_h / loads.time_constant_h)
         rest_c = loads.surroundings_c(outside_c) + loads.r_c_per_kw * loads.gain_kw
         rest_c = np.broadcast_to(rest_c, (len(steps), len(loads)))
         drift_c = (1.0 - keeps) * rest_c
@@ -144,13 +144,17 @@ class Climate:
         """Nothing: machines do not give, (H,)."""
         return np.zeros_like(taken_kw)
 
-    def after_c(self, t: int, power_kw: Floats) -> Floats:
-        """Temperature at the end of a step with these powers, (H,)."""
+    def rests_at_c(self, t: int, power_kw: Floats) -> Floats:
+        """Temperature to which each comes with these powers in the long run, (H,)."""
         loads = self.scenario.thermal_loads
         outside_c = float(self.scenario.temperature_c[t])
         heat_kw = loads.gain_kw + power_kw * loads.heat_per_kw(outside_c)
-        rests_at_c = loads.surroundings_c(outside_c) + heat_kw * loads.r_c_per_kw
-        time_constant_h = loads.r_c_per_kw * loads.c_kwh_per_c
+        return np.asarray(loads.surroundings_c(outside_c) + heat_kw * loads.r_c_per_kw)
+
+    def after_c(self, t: int, power_kw: Floats) -> Floats:
+        """Temperature at the end of a step with these powers, (H,)."""
+        rests_at_c = self.rests_at_c(t, power_kw)
+        time_constant_h = self.scenario.thermal_loads.time_constant_h
         away_c = (self.state - rests_at_c) * np.exp(-self.scenario.grid.dt_h / time_constant_h)
         return np.asarray(rests_at_c + away_c)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -47,6 +47,7 @@ RANGES = {
 """Plausible ranges of sets' readings, and of another sender's orders to them."""
 
 MEANS: tuple[str, ...] = ("genset_kw",)
+HELD = ("fuel_litres",)
 SETPOINT, NUMBERS = "p_kw", ("p_kw",)
 """The number that an operator says, and those that a set-point must have."""
 
@@ -67,8 +68,6 @@ STILL_SHARE = 0.05
 @dataclass(frozen=True, eq=False)
 class Ran:
     """Sets from the beginning of a step on, as their set-points have them run, (G,) each."""
-
-    timed: ClassVar[bool] = True
 
     at_h: float  #: when it began, in h since the controller's first step
     before: GensetState  #: state then, with the least fuel that may have been in the tank
@@ -99,7 +98,8 @@ class Ran:
 class GensetReadings:
     """Readings of sets at the beginning of a step, (G,) each; NaN where there is none.
 
-    ``ordered_kw`` is the most that another sender ordered each since the last decision.
+    ``ordered_kw`` is the most that another sender ordered each since the last decision, and
+    ``gauge_age_h`` how old the readings of fuel are.
     """
 
     running: Floats
@@ -107,19 +107,30 @@ class GensetReadings:
     fuel_litres: Floats
     start_fault: Floats
     ordered_kw: Floats
+    gauge_age_h: Floats
 
 
 PAST = Ran
 
 
 def read(
-    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: Ran | None
+    door: Door,
+    scenario: Scenario,
+    measured: Mapping[str, Any],
+    ages_h: Mapping[str, Floats],
+    past: Ran | None,
 ) -> tuple[Scenario, GensetReadings]:
     """Readings of sets, and the orders of another sender."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
+    values = {name: door.values(name, measured[name], ids, none) for name in names}
     return scenario, GensetReadings(
-        *(door.values(name, measured[name], ids, none) for name in names)
+        running=values["running"],
+        power_kw=values["genset_kw"],
+        fuel_litres=values["fuel_litres"],
+        start_fault=values["start_fault"],
+        ordered_kw=values["genset_ordered_kw"],
+        gauge_age_h=ages_h["fuel_litres"],
     )
 
 
@@ -128,9 +139,8 @@ def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:
     known = moment.known
     sets, dt_h, at_h = known.gensets, known.grid.dt_h, moment.at_h
     past = past or Ran.before_the_day(sets, at_h)
-    steps = int(at_h / dt_h + ROUNDING_H) - int(past.at_h / dt_h + ROUNDING_H)
-    row = moment.row
-    added = known.refuelled_litres[max(row - steps, -1) + 1 : row + 1].sum(axis=0)
+    begun = moment.begun_since(past.at_h)
+    added = known.refuelled_litres[begun.start : begun.stop].sum(axis=0)
     return SetsNow.of(sets, told, past, at_h, dt_h, added)
 
 
@@ -159,7 +169,7 @@ class SetsNow(UnitsNow):
         gone_h = at_h - past.at_h
         runs = _Running.of(told, past, by_others, gone_h, dt_h)
         burning_h = np.where(runs.on | by_others, gone_h, min(gone_h, dt_h))
-        fuel = _Fuel.of(sets, told, past, runs, burning_h, added)
+        fuel = _Fuel.of(sets, told, past, runs, burning_h, added, gone_h)
         unread = np.isnan(told.power_kw)
         gave_kw = np.where(unread, past.power_kw, told.power_kw)
         # A mean is less than the least power where the set started within it.
@@ -268,17 +278,31 @@ class _Fuel:
         runs: _Running,
         burning_h: Floats,
         added: Floats,
+        since_h: float,
     ) -> _Fuel:
         """Fuel that is left after so many hours of burning and what was delivered."""
-        least, most = _left_litres(sets, told, past, runs.on, runs.never, burning_h)
-        least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
+        burnt = _burnt_litres(sets, told, past, runs.on, runs.never)
+        left = zip((past.before.fuel_litres, past.most_litres), burnt, strict=True)
+        least, most = (
+            np.minimum(np.maximum(was - per_h * burning_h, 0.0) + added, sets.tank_litres)
+            for was, per_h in left
+        )
         told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
-        gauged = np.isfinite(told_litres)
-        still = gauged & (told_litres == past.read_litres)
-        least, most = (np.where(gauged & ~still, told_litres, left) for left in (least, most))
+        age_h = told.gauge_age_h
+        same = told_litres == past.read_litres
+        known = (age_h > since_h + ROUNDING_H) | (same & (age_h > since_h - ROUNDING_H))
+        gauged = np.isfinite(told_litres) & ~(known & np.isfinite(past.read_litres))
+        still = gauged & same
+        # What it has burnt since the gauge was read.
+        gone_h = np.minimum(age_h, burning_h)
+        now_litres = [np.maximum(told_litres - per_h * gone_h, 0.0) for per_h in burnt]
+        least, most = (
+            np.where(gauged & ~still, now, left)
+            for now, left in zip(now_litres, (least, most), strict=True)
+        )
         frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
         return cls(
-            litres=np.where(gauged & ~frozen, told_litres, least),
+            litres=np.where(gauged & ~frozen, now_litres[0], least),
             least_litres=least,
             most_litres=most,
             read_litres=np.where(gauged, told_litres, past.read_litres),
@@ -306,10 +330,10 @@ def _hours(past: Ran, on: Flags, gone_h: float, dt_h: float) -> Floats:
     return np.where((was & on) | never_started, past.before.hours + gone_h, changed_h)
 
 
-def _left_litres(
-    sets: Gensets, told: GensetReadings, past: Ran, on: Flags, never: Flags, burning_h: Floats
-) -> tuple[Floats, Floats]:
-    """The least and the most that may be left of the fuel, by the line of each set.
+def _burnt_litres(
+    sets: Gensets, told: GensetReadings, past: Ran, on: Flags, never: Flags
+) -> list[Floats]:
+    """The most and the least fuel that may have been burnt in an hour, by the line of each set.
 
     What was measured counts. Otherwise a set gave its set-point, or at least its least power;
     one that runs by hand, or may form the grid, may have given its largest.
@@ -320,14 +344,10 @@ def _left_litres(
     least_kw = np.where(past.on, sets.p_min_kw, 0.0)
     may_have_run = (past.on | on | given) & ~never
     has_run = (past.on & on) | given
-    burnt = [
-        sets.litres(ran, np.where(measured, told.power_kw, kw) * ran, dt_h=1.0) * burning_h
+    return [
+        sets.litres(ran, np.where(measured, told.power_kw, kw) * ran, dt_h=1.0)
         for ran, kw in ((may_have_run, most_kw), (has_run, least_kw))
     ]
-    return (
-        np.maximum(past.before.fuel_litres - burnt[0], 0.0),
-        np.maximum(past.most_litres - burnt[1], 0.0),
-    )
 
 
 def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:

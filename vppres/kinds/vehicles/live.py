@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats
 from vppres.core.plain import number_or_none
 from vppres.core.text import iso
-from vppres.kinds.kind import Moment, UnitsNow
+from vppres.kinds.kind import ROUNDING_H, Moment, UnitsNow
 from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
 from vppres.kinds.vehicles.physics import Garage, Plugged
 from vppres.kinds.vehicles.record import SHORT_KWH
@@ -32,6 +32,7 @@ RANGES = {
 """Plausible ranges of chargers' readings of their vehicles."""
 
 MEANS: tuple[str, ...] = ()
+HELD = ("ev_soc", "energy_needed_kwh")
 SETPOINT, NUMBERS = "p_limit_kw", ("p_kw", "p_limit_kw")
 """The number that an operator says, and those that a set-point must have."""
 
@@ -65,38 +66,50 @@ class Stay:
 
 @dataclass(frozen=True, eq=False)
 class PluggedInVehicles:
-    """The vehicles at chargers after a step, their energy, and what they were to take in it.
+    """The vehicles at chargers from a moment on, their energy, and what they were to take.
 
-    ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` and
-    ``taken_kw`` have the shape (K,).
+    ``at_h`` is the moment, in h since the controller's first step, and ``since`` the time of
+    plug-in as text by charger, empty without a vehicle. The others have the shape (K,).
     """
 
-    timed: ClassVar[bool] = False
-
+    at_h: float
     since: tuple[str, ...]
-    kwh: Floats
+    kwh: Floats  #: energy at the moment
+    end_kwh: Floats  #: energy after a whole step
     taken_kw: Floats
     stays: tuple[Stay, ...] = ()
 
     @classmethod
     def before_the_day(cls, n_chargers: int) -> PluggedInVehicles:
         """No vehicle that was here before."""
-        return cls(("",) * n_chargers, np.zeros(n_chargers), np.zeros(n_chargers))
+        none = np.zeros(n_chargers)
+        return cls(0.0, ("",) * n_chargers, none, none, none)
 
     @classmethod
-    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> PluggedInVehicles:
-        """The vehicles of a step with their energy at its end."""
-        here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
-        rows = rows_of(scenario.sessions) if here else []
+    def of(
+        cls, at_h: float, day: Scenario, kwh: Floats, end_kwh: Floats, taken_kw: Floats
+    ) -> PluggedInVehicles:
+        """The vehicles of the first step of a day, and their energy after a whole step."""
+        here = [s for s in day.session_at[0].tolist() if s != NO_CAR]
+        rows = rows_of(day.sessions) if here else []
         stays = tuple(Stay(**rows[s]) for s in here)
-        return cls(_since(scenario, t), kwh, taken_kw, stays)
+        return cls(at_h, _since(day, 0), kwh, end_kwh, taken_kw, stays)
 
-    def at(self, scenario: Scenario, t: int) -> Floats:
-        """Energy of the vehicles of a step that have been here before, NaN of others, (K,)."""
-        now = _since(scenario, t)
-        pairs = zip(now, self.since, strict=True)
-        stays = [name != "" and name == before for name, before in pairs]
-        return np.where(stays, self.kwh, np.nan)
+    def at(self, moment: Moment, read: ReadVehicles) -> Floats:
+        """Energy of vehicles that were read since, or have been here before; NaN of others, (K,).
+
+        What was charged since is added to it.
+        """
+        pairs = zip(_since(moment.window, 0), self.since, strict=True)
+        stays = np.array([name != "" and name == before for name, before in pairs], dtype=bool)
+        read_h = moment.at_h - read.age_h
+        # An older reading was known when their set-points were made.
+        counts = np.isfinite(read.kwh) & ((read_h >= self.at_h - ROUNDING_H) | ~stays)
+        dt_h = moment.window.grid.dt_h
+        now, then = (moment.held_h(self.at_h, ago_h) / dt_h for ago_h in (0.0, read.age_h))
+        read_kwh = read.kwh + (now - then) * (self.end_kwh - self.kwh)
+        told_kwh = (1.0 - now) * self.kwh + now * self.end_kwh
+        return np.where(counts, read_kwh, np.where(stays, told_kwh, np.nan))
 
 
 def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
@@ -111,31 +124,46 @@ PAST = PluggedInVehicles
 
 @dataclass(frozen=True, eq=False)
 class VehiclesNow(UnitsNow):
-    """Energy of the vehicle at each charger in a step, (K,), 0 without one."""
+    """Energy of the vehicle at each charger in a step, (K,), 0 without one, at a moment."""
+
+    at_h: float
 
     def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> PluggedInVehicles:
-        """The vehicles after the first step of a day."""
-        return PluggedInVehicles.of(day, 0, state, columns["p_kw"])
+        """The vehicles with their set-points from now on."""
+        return PluggedInVehicles.of(self.at_h, day, self.state, state, columns["p_kw"])
 
 
-def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> VehiclesNow:
+@dataclass(frozen=True, eq=False)
+class ReadVehicles:
+    """Energy of vehicles by readings, (K,), NaN without one, and how old these are, in h."""
+
+    kwh: Floats
+    age_h: Floats
+
+
+def now(moment: Moment, read: ReadVehicles, past: PluggedInVehicles | None) -> VehiclesNow:
     """Vehicles as they were read, or else as reckoned, or else as their sessions say."""
-    day, past = moment.window, past or PluggedInVehicles.before_the_day(len(read_kwh))
-    kwh = np.where(np.isnan(read_kwh), past.at(day, 0), read_kwh)
+    day, past = moment.window, past or PluggedInVehicles.before_the_day(len(read.kwh))
+    kwh = np.clip(past.at(moment, read), 0.0, Garage(day).full_kwh(0))
     off_kw = float(np.abs(past.taken_kw).sum())
-    return VehiclesNow(Garage(day, kwh).at(0), float(past.taken_kw.sum()), off_kw, ())
+    taken_kw = float(past.taken_kw.sum())
+    return VehiclesNow(Garage(day, kwh).at(0), taken_kw, off_kw, (), moment.at_h)
 
 
 def read(
-    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: PluggedInVehicles | None
-) -> tuple[Scenario, Floats]:
+    door: Door,
+    scenario: Scenario,
+    measured: Mapping[str, Any],
+    ages_h: Mapping[str, Floats],
+    past: PluggedInVehicles | None,
+) -> tuple[Scenario, ReadVehicles]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 
     Vehicles stay as they were known in the step before until they leave. A charger without
     a vehicle ends its session; that is named. A vehicle that tells the energy that it needs has
     a session from now on; its departure is that of the session before if it tells none. One that is
     plugged in after its departure, or of which none is known, stays for this step, and is named.
-    Energies are NaN if no state of charge was read.
+    Energies are NaN if neither a state of charge nor a need was read.
     """
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)
@@ -143,9 +171,9 @@ def read(
         door.values(name, measured[name], chargers.id, none) for name in QUANTITIES[:3]
     )
     departure = door.moments("departure", measured["departure"], chargers.id)
-    held_kwh = none.copy()
+    held_kwh, age_h = none.copy(), np.zeros(len(chargers))
     if door.problems or not len(chargers):
-        return scenario, held_kwh
+        return scenario, ReadVehicles(held_kwh, age_h)
     own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
     for row in rows_of(scenario.sessions):
         own[row["charger"]].append(row)
@@ -160,10 +188,12 @@ def read(
         own[name] = [row for row in rows if row is not before]
         if now is not None:
             own[name] = [*_sessions_beside(own[name], now, door.begun), now]
-            by_soc = np.isnan(now["energy_needed_kwh"])
-            held_kwh[k] = seen.soc * now["capacity_kwh"] if by_soc else np.nan
+            if np.isnan(now["energy_needed_kwh"]):
+                held_kwh[k], age_h[k] = seen.soc * now["capacity_kwh"], ages_h["ev_soc"][k]
+            elif np.isfinite(seen.needed_kwh):
+                held_kwh[k], age_h[k] = 0.0, ages_h["energy_needed_kwh"][k]
     told_of = [row for rows in own.values() for row in rows]
-    return replace(scenario, sessions=sessions_of(told_of)), held_kwh
+    return replace(scenario, sessions=sessions_of(told_of)), ReadVehicles(held_kwh, age_h)
 
 
 Row = dict[str, Any]  # of a session, by column

@@ -245,6 +245,10 @@ class Garage:
         arrives_kwh = self._of(self.scenario.sessions.held_kwh, t)
         return np.where(stays & self.here(t), self.state, arrives_kwh)
 
+    def full_kwh(self, t: int) -> Floats:
+        """Most energy that each vehicle of a step holds, 0 without one, (K,)."""
+        return self._of(self.scenario.sessions.full_kwh, t)
+
     def _of(self, by_session: Floats, t: int) -> Floats:
         """A number of the sessions of a step by charger, 0 without one, (K,)."""
         found = np.zeros(len(self.state))
@@ -265,7 +269,7 @@ class Garage:
         dt_h = self.scenario.grid.dt_h
         held_kwh = self.at(t)
         wanted_kw = np.where(self.here(t) & self.on(served), wanted_kw, 0.0)
-        room_kw = (self._of(self.scenario.sessions.full_kwh, t) - held_kwh) / dt_h
+        room_kw = (self.full_kwh(t) - held_kwh) / dt_h
         above_kwh = held_kwh - self._of(self.scenario.sessions.floor_kwh, t)
         most = np.minimum(chargers.p_charge_kw, np.maximum(room_kw, 0.0) / chargers.eta_charge)
         back = np.maximum(above_kwh, 0.0) / dt_h * chargers.eta_discharge

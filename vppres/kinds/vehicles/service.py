@@ -12,16 +12,13 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Chargers, Sessions
-from vppres.kinds.vehicles.live import QUANTITIES, rows_of, sessions_of
+from vppres.kinds.vehicles.live import HELD, QUANTITIES, rows_of, sessions_of
 from vppres.kinds.vehicles.physics import Garage
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, Plans, expected_by, said_of
 from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import Reading, moment, seconds
-
-CHARGED = ("ev_soc", "energy_needed_kwh")
-"""Quantities that change while a vehicle charges."""
 
 
 class ChargingPoints(OfKind):
@@ -31,24 +28,22 @@ class ChargingPoints(OfKind):
     source = "chargers"
     direction = "charging_positive"
     states: ClassVar[Mapping[str, float]] = {"plugged": 0.0}
-    of_visits = (*CHARGED, "departure")
+    of_visits = (*HELD, "departure")
+    told_once = ("plugged", "energy_needed_kwh", "departure")
 
     def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of chargers about their vehicles, by quantity.
 
-        The controller knows the readings before the step that it decided last. What came since
-        counts however short it holds: a vehicle is plugged in once. One that left during its
-        session is not back until its charger says so.
+        The controller knows the readings before it decided last. What came since counts however
+        short it holds: a vehicle is plugged in once, and says once what it needs. One that left
+        during its session is not back until its charger says so.
         """
-        before = stored.store.last_step(stored.time - pd.Timedelta("1s"))
-        known = stored.time - stored.scenario.grid.step
-        if before:
-            known = pd.Timestamp(before.get("valid_from", before["start"]))
         told: dict[str, Any] = {}
         for name in QUANTITIES:
             newest = stored.readings.newest(name).items()
-            since = {k: one.value for k, one in newest if moment(one.time) > known}
-            told[name] = stored.readings.holding(name) | since
+            since = {k: one.value for k, one in newest if moment(one.time) >= stored.decided_at}
+            holding = {} if name == "energy_needed_kwh" else stored.readings.holding(name)
+            told[name] = holding | since
         sessions = stored.scenario.sessions
         for name, last in stored.readings.newest("plugged").items():
             at = moment(last.time)
@@ -76,7 +71,7 @@ class ChargingPoints(OfKind):
         if not (before and before.known):
             here = float(one.asset in expected_by(plan).get("vehicles", {}))
             return here if one.quantity == "plugged" else math.nan
-        return one.value if one.quantity in CHARGED else before.value
+        return one.value if one.quantity in HELD else before.value
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """A charger takes what its limit lets it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,8 @@ from vppres.service.events.faults import behind_faults, behind_open
 from vppres.service.of_kind import every
 from vppres.service.plans.document import DARK, PROPOSED, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
-from vppres.service.storage.records import seconds
+from vppres.service.storage.records import asks, seconds
+from vppres.service.storage.statements import REFUSED, why_refused
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
@@ -101,6 +102,7 @@ class Situation:
     announced: bool = False
     formers: Sequence[FormerState] | None = None
     switching_stopped: str = ""
+    rejected: Mapping[str, str] = field(default_factory=dict)  #: set-points of now, and why
 
     @property
     def known_soc(self) -> Floats:
@@ -180,7 +182,15 @@ def situation(
         read_by=read.source if read else "",
         announced=announced_at([*store.events().values()], now),
         formers=formers_now(scenario, plan, soc, failing) if physical else None,
+        rejected=rejected_now(plan, now, store),
     )
+
+
+def rejected_now(plan: Mapping[str, Any], now: pd.Timestamp, store: Store) -> dict[str, str]:
+    """Devices that rejected the set-points that hold now and can be used all the same, and why."""
+    points = {one["id"]: one["asset"] for one in points_at(plan, now) if not asks(one)}
+    said = {points[name]: one for name, one in store.acks(points).items()}
+    return {name: why_refused(one) for name, one in said.items() if one["status"] in REFUSED}
 
 
 def failing_now(
@@ -478,9 +488,8 @@ def _source_lost(now: Situation) -> Iterator[Condition]:
 
 def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
     """A device does not follow its set-point, or the last check lets nothing through to it."""
-    found = {
-        name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
-    }
+    failing = {**now.rejected, **now.failing}
+    found = {name: f"{name} did not follow its set-point: {why}." for name, why in failing.items()}
     if now.ahead_s > 0.0:
         for one in refused_of(now.plan):
             words = f"The last check rejected the set-point of {one['asset']}: {one['reason']}."

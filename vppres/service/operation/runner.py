@@ -442,6 +442,13 @@ class Runner:
         return found
 
     @property
+    def why_none(self) -> str:
+        """Why there is no plan yet."""
+        if self.played:
+            return "No step was decided yet. Ask for one with POST /v1/steps."
+        return "The first step is being decided."
+
+    @property
     def ahead_s(self) -> float:
         """How long the last plan still holds, in s; negative when it is over, or not yet there."""
         if not self.last:

@@ -71,7 +71,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """The last plan; ``stale`` when it is over, ``none`` before the first."""
         found = runner.last
         if not found:
-            return {"status": "none"}
+            return {"status": "none", "reason": runner.why_none}
         shown = found if runner.ahead_s > 0.0 else {**found, "status": "stale"}
         unknown = runner.changes.reasons
         shown = {**shown, "unaware_of": list(unknown)} if unknown else shown

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Annotated, Any
-from urllib.parse import unquote
 
 from fastapi import APIRouter, Path, Query, Response
 from fastapi.responses import JSONResponse
@@ -15,7 +14,7 @@ from vppres.service.operation.runner import Runner
 from vppres.service.plans.document import points_at
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import check_asset, moment_asked
-from vppres.service.storage.records import versions
+from vppres.service.storage.records import asks
 from vppres.service.storage.statements import REFUSED
 
 LONGEST_ID = 1300
@@ -52,27 +51,17 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         actor: str = guarded("telemetry"),
     ) -> dict[str, Any]:
         """Store a set-point's status; a battery that refuses is left out until its next reading."""
-        found = _setpoint(identifier)
+        found = runner.store.setpoint(identifier)
         if found is None:
             raise HTTPException(404, "There is no such set-point.")
         said = body.model_dump()
         before = runner.store.acks([found["id"]]).get(found["id"], NEW)["status"]
         was_out = found["asset"] in runner.store.refusing(found["kind"])
         runner.store.put_ack(found, said, runner.clock.now(), actor)
-        asked_of = found["kind"] == "batteries" or found.get("served") or found.get("running")
         # One that accepts may have refused the set-point before this one.
         turned = before not in REFUSED if body.status in REFUSED else was_out
-        if turned and asked_of:
+        if turned and asks(found):
             runner.changes.note(f"{found['asset']} {body.status}")
         return {"id": found["id"], **said}
-
-    def _setpoint(identifier: str) -> dict[str, Any] | None:
-        try:
-            time = payloads.read_moment(identifier.partition("/")[0])
-        except ValueError:
-            return None
-        plan = runner.store.step(runner.begun(time))
-        said = [one for version in versions(plan) for one in version.get("setpoints", ())]
-        return next((o for o in said if identifier in (o["id"], unquote(o["id"]))), None)
 
     return router

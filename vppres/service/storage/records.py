@@ -39,6 +39,16 @@ def versions(plan: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [*plan.get("before", []), plan]
 
 
+def asks(setpoint: Mapping[str, Any]) -> bool:
+    """Whether a device that rejects a set-point cannot be used: it was to be on, in full.
+
+    One that rejects to be off, or less on, stays as it is.
+    """
+    if setpoint["kind"] == "customers":
+        return bool(setpoint["served"] and setpoint.get("share", 1.0) == 1.0)
+    return bool(setpoint["kind"] == "batteries" or setpoint.get("running"))
+
+
 @dataclass(frozen=True)
 class Reading:
     """One reading; ``value`` is NaN where it is known to be missing."""

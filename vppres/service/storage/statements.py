@@ -104,8 +104,12 @@ def note_lost(db: sa.Connection, asset: str, said: Mapping[str, Any], at: int) -
     if said["status"] not in REFUSED:
         db.execute(LOST.delete().where(LOST.c.asset == asset))
         return
-    reason = f"{said['status']}: {said['reason']}" if said["reason"] else said["status"]
-    put(db, LOST, asset=asset, at=at, reason=reason)
+    put(db, LOST, asset=asset, at=at, reason=why_refused(said))
+
+
+def why_refused(said: Mapping[str, Any]) -> str:
+    """Refusal of a device in words."""
+    return f"{said['status']}: {said['reason']}" if said["reason"] else str(said["status"])
 
 
 def put_alarm(db: sa.Connection, row: AlarmRow) -> AlarmRow:

@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from itertools import starmap
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ import sqlalchemy as sa
 
 from vppres.core.errors import InputError, StorageError
 from vppres.service.clock import written
-from vppres.service.payloads import Forecasts
+from vppres.service.payloads import Forecasts, read_moment
 from vppres.service.storage.database import opened_database
 from vppres.service.storage.records import (
     After,
@@ -31,8 +32,10 @@ from vppres.service.storage.records import (
     Token,
     UnknownError,
     Written,
+    asks,
     moment,
     seconds,
+    versions,
 )
 from vppres.service.storage.statements import (
     REFUSED,
@@ -383,7 +386,8 @@ class Store:
             if not before or before._asdict() != dict(said):
                 row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
                 db.execute(ACKS.insert().values(**row, **said))
-                if setpoint.get("served"):  # customers that were to be on
+                # One that is on, dimmed, can be supplied; one that rejects to be dimmed too.
+                if asks(setpoint) or (setpoint.get("served") and said["status"] not in REFUSED):
                     note_lost(db, setpoint["asset"], said, seconds(now))
 
     def lost(self) -> dict[str, Lost]:
@@ -406,11 +410,22 @@ class Store:
         return {row.setpoint for row in self._rows(found)}
 
     def refusing(self, kind: str) -> dict[str, int]:
-        """Devices of a kind that did not follow their last set-points, and since when."""
+        """Devices of a kind that rejected what they were asked for last, and since when."""
         a = ACKS.c
         last = sa.select(sa.func.max(a.number)).where(a.kind == kind).group_by(a.asset)
         refused = a.number.in_(last.scalar_subquery()), a.status.in_(REFUSED)
-        return {row.asset: row.at for row in self._rows(sa.select(a.asset, a.at).where(*refused))}
+        rows = self._rows(sa.select(a.asset, a.at, a.setpoint).where(*refused))
+        points = ((row, self.setpoint(row.setpoint)) for row in rows)
+        return {row.asset: row.at for row, one in points if one is None or asks(one)}
+
+    def setpoint(self, identifier: str) -> dict[str, Any] | None:
+        """A set-point by its identifier, as it is or as in an address; None if there is none."""
+        try:
+            time = read_moment(identifier.partition("/")[0])
+        except ValueError:
+            return None
+        said = [one for plan in versions(self.last_step(time)) for one in plan.get("setpoints", ())]
+        return next((o for o in said if identifier in (o["id"], unquote(o["id"]))), None)
 
     # Alarms
 

@@ -60,6 +60,9 @@ INSTANT = (
     *("soc", "load_kw", "pv_kw", "online", "grid_on"),
     *(name for names in OF_KINDS.values() for name in names if name not in MEAN),
 )
+HELD = tuple(name for live in parts("live").values() for name in live.HELD)
+"""States of units that set-points change."""
+
 CLOSED = "closed"
 """Quantity of the state of a switch, 1 or 0. It holds until another one is read."""
 
@@ -260,6 +263,7 @@ def known_at(
     soc = soc_of(readings.newest("soc"))
     lost = lost_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
+    of_kinds = {n: read for kind in every().values() for n, read in kind.readings(stored).items()}
     measurement = Measurement(
         time,
         soc=soc,
@@ -277,7 +281,12 @@ def known_at(
         foretold=load.foretold | pv.foretold,
         now=now,
         ordered_kw=said.ordered_kw,
-        **{name: read for kind in every().values() for name, read in kind.readings(stored).items()},
+        **of_kinds,
+        read_at={
+            name: {one: moment(readings.newest(name)[one].time) for one in values}
+            for name, values in of_kinds.items()
+            if name in HELD and values
+        },
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     again = ""
@@ -390,7 +399,9 @@ class Latest:
         last = {
             (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
         }
-        return cls(found, heard, values, last)
+        once = {name for kind in every().values() for name in kind.told_once}
+        late = [h for h in heard if h.state == "ok" or h.quantity not in once]
+        return cls(found, late, values, last)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
