@@ -222,6 +222,12 @@ def test_single_problem_is_counted_in_words(tiny_folder: Path) -> None:
     assert lines[1] == "1 problem."
 
 
+def test_validate_names_tables_that_no_scenario_has(tiny_folder: Path) -> None:
+    (tiny_folder / "tanks.csv").write_text("id,bus\nboiler,3\n", encoding="utf-8")
+    said = " ".join(call("validate", tiny_folder).stdout.split())
+    assert said.endswith("- tanks.csv is not read: no file of a scenario has this name.")
+
+
 def test_validate_of_nothing_is_an_error() -> None:
     result = call("validate", "nowhere", "--json")
     assert (result.exit_code, result.stdout) == (2, "")

@@ -125,7 +125,7 @@ def test_summary_by_hand():
     assert summary == {
         "cautions": [
             "Tier order was not kept in 1 customer-step (a): the energy of lower tiers would have "
-            "sufficed. On 19 Jul at 01:00 UTC a (critical, 10.0 kW) was off supply, while b had up "
+            "sufficed. At 19 Jul 01:00 a (critical, 10.0 kW) was off supply, while b had up "
             "to 20.0 kW."
         ],
         "served_share": {"critical": 0.5, "high": None, "low": 0.25},

@@ -154,8 +154,14 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
         "a.csv, column = bakry_kw: is neither an asset of the scenario nor an element of the network. Did "
         "you mean bakery?"),
     ({"bakery_kw": -RISING},
-        "a.csv, customer = c1: falls to -23 kW at 2025-07-01T23:00:00Z. Demand and generation count from 0: give "
+        "a.csv, customer = c1: falls to -23 kW at 2025-07-01T23:00:00Z. Demand counts from 0: give "
         "generation as a system of its own."),
+    ({"roof_kw": [-0.02, *RISING[1:]]},
+        "a.csv, system = pv2: falls to -0.02 kW at 2025-07-01T00:00:00Z. Generation counts from 0: "
+        "write 0 where the system draws power."),
+    ({"bakery_kWh": RISING},
+        "a.csv, column = bakery_kWh: is in kWh, and series are power in kW, MW or pu. Convert it, "
+        "and end the column's or the file's name in _kw, _mw or _pu."),
     ({"roof_mw": RISING},
         "a.csv, system = pv2: reaches 2.3e+04 kW at 2025-07-01T23:00:00Z, and its largest power is 40 kW. Correct the "
         "unit of the series, or the power in the network."),

@@ -95,6 +95,10 @@ WRONG_BYTE = "row 2: is not UTF-8 text (byte 0xe9). Save the file with UTF-8 enc
     ("scenario.toml", None,
         f"scenario.toml: {MISSING}. A scenario folder needs it: see the page on the scenario "
         "format."),
+    ("lines.csv", b"PK\x03\x04\x14\0", "lines.csv: is a spreadsheet, not text. Save its sheet as "
+        "lines.csv: CSV, in UTF-8."),
+    ("lines.csv", b"from_bus\tto_bus\n1\t2\n", "lines.csv, row 1: has a single column. Separate the "
+        "cells with commas, and write decimal points."),
     ("lines.csv", b"", "lines.csv: is empty. Write a header row with column names."),
     ("pv_kw.csv", b"time,roof,field\n", f"pv_kw.csv: has no row. {GRID_CURE}"),
     *((name, b"name,caf\xc3\xa9\nx,caf\xe9\n", f"{name}, {WRONG_BYTE}")
@@ -116,6 +120,20 @@ def test_a_misspelt_file_is_not_left_out_in_silence(tiny_folder: Path) -> None:
     assert messages(tiny_folder) == [
         "battery.csv: is not read: it is no file of a scenario. Did you mean batteries.csv? Rename "
         "it, or name it under [files]."
+    ]
+
+
+@pytest.mark.parametrize(("suffix", "cure"), [
+    ("parquet", "Name it under [files]."),
+    ("xlsx", "Save its sheet as batteries.csv: CSV, in UTF-8."),
+])  # fmt: skip
+def test_a_table_in_another_format_is_not_left_out_in_silence(
+    tiny_folder: Path, suffix: str, cure: str
+) -> None:
+    (tiny_folder / "batteries.csv").rename(tiny_folder / f"batteries.{suffix}")
+    assert messages(tiny_folder) == [
+        f"batteries.{suffix}: is not read: it is no file of a scenario. Did you mean batteries.csv? "
+        f"{cure}"
     ]
 
 

@@ -167,7 +167,7 @@ def test_inversions_are_told_with_names_and_power() -> None:
     ]
     assert cautions(weighed) == [
         "Tier order was not kept in 2 customer-steps (c0): the energy of lower tiers would have "
-        "sufficed. On 19 Jul at 00:00 UTC c0 (critical, 60.0 kW) was off supply, while c1, c2, c3 had up to "
+        "sufficed. At 19 Jul 00:00 c0 (critical, 60.0 kW) was off supply, while c1, c2, c3 had up to "
         "60.0 kW."
     ]
     assert not inversions(run_day(day, RunOptions(priority="strict")))

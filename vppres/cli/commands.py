@@ -206,7 +206,7 @@ def validate(
     The problems are sorted by file and row.
     """
     from vppres.io.find import find_scenario
-    from vppres.io.scenario_folder import read_scenario
+    from vppres.io.scenario_folder import read_scenario, unread_words
 
     folder = find_scenario(scenario)
     problems: tuple[Problem | str, ...] = ()
@@ -215,6 +215,7 @@ def validate(
     try:
         day = read_scenario(folder)
         content = content_of(day)
+        content["remarks"] += unread_words(folder)
     except InputError as error:
         problems = error.problems
     if power_flow and not problems:

@@ -195,11 +195,8 @@ def _worst_words(run: Trajectory, found: list[Inversion]) -> str:
     worst = min(found, key=lambda one: (position[c.tier[one.customer]], -one.kw))
     off = f"{c.id[worst.customer]} ({c.tier[worst.customer]}, {worst.kw:,.1f} kW)"
     lower = named([str(c.id[i]) for i in worst.lower], NAMES)
-    time = run.steps["time"].iloc[worst.t]
-    return (
-        f"On {time.day} {time:%b at %H:%M} UTC {off} was off supply, while {lower} had up to "
-        f"{worst.lower_kw:,.1f} kW."
-    )
+    when = run.scenario.grid.in_words(run.steps["time"].iloc[worst.t])
+    return f"At {when} {off} was off supply, while {lower} had up to {worst.lower_kw:,.1f} kW."
 
 
 def lower_tiers_now(

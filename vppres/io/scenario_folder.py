@@ -70,6 +70,13 @@ MODELS: dict[str, type[BaseModel]] = {
 }
 """Rows of each table, by its key under [files]."""
 
+READ_SUFFIXES = (".csv", ".parquet")
+TABLE_SUFFIXES = (*READ_SUFFIXES, ".xlsx", ".xls", ".ods")
+"""Endings of tables that are read, and of all that are taken for tables."""
+
+NAMES_SHOWN = 5
+"""Files named in one sentence."""
+
 _NEEDED = ("lines", "customers", "load_kw", "system")
 """Files without which there is no scenario."""
 
@@ -160,7 +167,7 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
         found = leads_out(folder, file)
         tables[key], found = (unread(file), found) if found else read_table(folder / file)
         problems += found
-    problems += _misspelt_files(folder, {SCENARIO_FILE, *names.values(), *PHASE_FILES})
+    problems += _misspelt_files(folder, _known_files(settings))
     series = tables["pv_kw"]
     if series and tables["pv"] and not (folder / names["pv"]).exists():
         systems = [name for name in series.names if name != TIME]
@@ -171,17 +178,51 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
     return tables, problems
 
 
+def _known_files(settings: Settings) -> set[str]:
+    """Names of all files that a scenario with these settings may have."""
+    return {SCENARIO_FILE, *settings.files.model_dump().values(), *PHASE_FILES}
+
+
+def _unread_tables(folder: Path, known: set[str]) -> list[Path]:
+    """Tables in a folder that are no files of its scenario, by name."""
+    return sorted(
+        entry
+        for entry in folder.iterdir()
+        if entry.name not in known and entry.suffix.lower() in TABLE_SUFFIXES
+    )
+
+
+def unread_words(folder: Path) -> list[str]:
+    """A sentence on tables in the folder of a sound scenario that are no files of it."""
+    unread_files = _unread_tables(folder, _known_files(read_settings(folder)[0]))
+    if not unread_files:
+        return []
+    names = named([entry.name for entry in unread_files], NAMES_SHOWN)
+    one = len(unread_files) == 1
+    reads = "is not read: no file" if one else "are not read: no files"
+    return [f"{names} {reads} of a scenario {'has this name' if one else 'have these names'}."]
+
+
 def _misspelt_files(folder: Path, known: set[str]) -> list[Problem]:
     """Tables that are not read, and have nearly the name of one that is not there."""
-    present = {entry.name for entry in folder.iterdir()}
-    absent = {Path(name).stem: name for name in sorted(known - present)}
+    absent = {Path(name).stem: name for name in sorted(known) if not (folder / name).exists()}
     problems = []
-    for file in sorted(present - known):
-        near = get_close_matches(Path(file).stem.lower(), absent, n=1, cutoff=0.75)
-        if near and file.endswith((".csv", ".parquet")):
-            cure = f"Did you mean {absent[near[0]]}? Rename it, or name it under [files]."
-            problems.append(Problem(file, "is not read: it is no file of a scenario", cure))
+    for file in _unread_tables(folder, known):
+        near = get_close_matches(file.stem.lower(), absent, n=1, cutoff=0.75)
+        if near:
+            meant = absent[near[0]]
+            cure = f"Did you mean {meant}? {_rename(file, meant)}"
+            problems.append(Problem(file.name, "is not read: it is no file of a scenario", cure))
     return problems
+
+
+def _rename(file: Path, meant: str) -> str:
+    """How a table becomes the file that was meant; CSV and Parquet may have other names too."""
+    suffix = file.suffix.lower()
+    if suffix not in READ_SUFFIXES:
+        return f"Save its sheet as {meant}: CSV, in UTF-8."
+    same = suffix == Path(meant).suffix
+    return f"{'Rename it, or name' if same else 'Name'} it under [files]."
 
 
 def _read_all_rows(tables: Tables) -> tuple[AllRows, list[Problem]]:

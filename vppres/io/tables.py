@@ -30,6 +30,9 @@ MAX_CELLS = 10_000_000
 MAX_ROWS = schema.MAX_STEPS + 1  # and the header
 MAX_COLUMNS = schema.MAX_ITEMS + 1  # and the time
 MAX_FILE_BYTES = 100_000_000
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""Beginnings of spreadsheets: of .xlsx and .ods, and of .xls."""
+
 _NAMELESS = re.compile(r"__index_level_\d+__")  # the numbers of the rows, as pandas writes them
 
 
@@ -136,7 +139,11 @@ def read_text(path: Path, most_bytes: int = MAX_FILE_BYTES) -> tuple[str, list[P
     try:
         if path.stat().st_size > most_bytes:
             return "", [_too_large(path.name, f"more than {most_bytes / 1e6:g} MB")]
-        return path.read_bytes().decode("utf-8-sig"), []
+        content = path.read_bytes()
+        if content.startswith(SPREADSHEETS):
+            cure = f"Save its sheet as {path.stem}.csv: CSV, in UTF-8."
+            return "", [Problem(path.name, "is a spreadsheet, not text", cure)]
+        return content.decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         byte = f"0x{error.object[error.start]:02x}"
@@ -242,20 +249,20 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, list[Problem]]:
         problem = Problem(path.name, "is empty", "Write a header row with column names.")
         return pd.DataFrame(), [problem]
     problems = _check_header(path.name, rows[0])
-    if not _has_semicolons(rows[0]):
+    if not _is_separated_otherwise(rows[0]):
         problems += _check_ragged(path.name, rows, lines)
     if problems:
         return pd.DataFrame(), problems
     return pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0], dtype=object), []
 
 
-def _has_semicolons(header: list[str]) -> bool:
-    """Whether semicolons separate the cells; commas are then inside of numbers."""
-    return len(header) == 1 and ";" in header[0]
+def _is_separated_otherwise(header: list[str]) -> bool:
+    """Whether semicolons or tabs separate the cells; commas are then inside of numbers."""
+    return len(header) == 1 and any(mark in header[0] for mark in ";\t")
 
 
 def _check_header(file: str, header: list[str]) -> list[Problem]:
-    if _has_semicolons(header):
+    if _is_separated_otherwise(header):
         return [
             Problem(
                 file,

@@ -37,7 +37,7 @@ class Clock:
 
     def words(self, time: pd.Timestamp) -> str:
         """A time on the site's clocks; with its offset in words on days that change it."""
-        return self.full(time) if self._changes else f"{self.grid.local(time):%d %b %H:%M}"
+        return self.grid.in_words(time)
 
     def full(self, time: pd.Timestamp) -> str:
         """A time that says which clock shows it."""
@@ -71,11 +71,6 @@ class Clock:
         if self.grid.zone == UTC:
             return "Times are UTC."
         return f"Times are those of {self.grid.zone}: {', '.join(self._offsets)}."
-
-    @property
-    def _changes(self) -> bool:
-        """Whether clocks are changed during the run."""
-        return len(self._offsets) > 1
 
     @cached_property
     def _offsets(self) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from zoneinfo import ZoneInfo
 
 import pandas as pd
@@ -94,6 +95,22 @@ class TimeGrid:
         '2022-07-19T01:00:00+01:00'
         """
         return time.tz_convert(self.zone)
+
+    @cached_property
+    def changes_clocks(self) -> bool:
+        """Whether the clocks on the feeder are put forward or back between start and end."""
+        local = pd.DatetimeIndex([*self.times, self.end]).tz_convert(self.zone)
+        return bool((local.tz_localize(None) - local.tz_convert(None)).nunique() > 1)
+
+    def in_words(self, time: pd.Timestamp) -> str:
+        """A time on the feeder's clocks in words; with its offset where these change.
+
+        >>> grid = TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), 60, 24, "Europe/London")
+        >>> grid.in_words(grid.start)
+        '19 Jul 01:00'
+        """
+        offset = " %Z" if self.changes_clocks else ""
+        return self.local(time).strftime(f"%d %b %H:%M{offset}")
 
     def steps_in_horizon(self, horizon_h: float) -> int:
         """Steps of a window ``t0 .. t0 + H``, both ends included: ``H = 0`` is one step."""

@@ -16,7 +16,7 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import NewAssets, generator_table
 from vppres.feeders.new.gensets import taken
 from vppres.feeders.series.clocks import in_utc
-from vppres.feeders.series.files import units_missing
+from vppres.feeders.series.files import other_unit, units_missing
 from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
@@ -107,7 +107,8 @@ def place_profiles(
     of at most ``most_gap_min`` are filled.
     """
     sorter = _Sorter(feeder, assets)
-    problems = [*units_missing([p for p in profiles if p.name not in OF_SYSTEM])]
+    problems: list[Problem] = []
+    without_unit: list[Profile] = []
     placed: dict[tuple[str, int], Floats] = {}
     gaps: list[str] = []
     system: dict[str, Floats] = {}
@@ -115,7 +116,10 @@ def place_profiles(
     for profile in profiles:
         target, found = sorter.target(profile)
         problems += found
-        if target is None or (not profile.unit and target.kind != "system series"):
+        if target is None:
+            continue
+        if not profile.unit and target.kind != "system series":
+            without_unit.append(profile)
             continue
         if target.kind in _UNUSED:
             unused.setdefault(target.kind, []).append(profile.name)
@@ -134,11 +138,14 @@ def place_profiles(
             )
         else:
             placed[key] = profile.factor * _scale(profile, target) * values.values
+    problems += units_missing(without_unit)
     load_kw, load_notes = _loads(placed, feeder, assets, shapes[0])
     pv_kw, pv_notes = _systems(placed, feeder, assets, shapes[1])
     files = named(dict.fromkeys(profile.where for profile in profiles))
-    problems += _negative(load_kw, assets.customers.id, "customer", files, grid)
-    problems += _negative(pv_kw, assets.pv.id, "system", files, grid)
+    generation = "Demand counts from 0: give generation as a system of its own."
+    problems += _negative(load_kw, assets.customers.id, "customer", generation, files, grid)
+    standby = "Generation counts from 0: write 0 where the system draws power."
+    problems += _negative(pv_kw, assets.pv.id, "system", standby, files, grid)
     problems += _too_large(pv_kw, assets, files, grid)
     if problems:
         raise InputError(folded(problems))
@@ -225,6 +232,9 @@ class _Sorter:
         else:
             message = "is neither an asset of the scenario nor an element of the network"
             cure = self.suggestions.cure(profile.name)
+        if not found and (unit := other_unit(profile.name)):
+            message = f"is in {unit}, and series are power in kW, MW or pu"
+            cure = "Convert it, and end the column's or the file's name in _kw, _mw or _pu."
         return None, [_problem(profile, message, cure)]
 
 
@@ -313,14 +323,16 @@ def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:
         yield f"{profile.name} ({found.filled} values, up to {found.longest_gap_min:g} min)"
 
 
-def _negative(values: Floats, names: Names, what: str, files: str, grid: TimeGrid) -> list[Problem]:
+def _negative(
+    values: Floats, names: Names, what: str, cure: str, files: str, grid: TimeGrid
+) -> list[Problem]:
     """Assets whose series falls below zero."""
     return [
         Problem(
             files,
             f"falls to {values[:, i].min():.4g} kW at "
             f"{iso(grid.times[int(values[:, i].argmin())])}",
-            "Demand and generation count from 0: give generation as a system of its own.",
+            cure,
             field=what,
             value=names[i],
         )

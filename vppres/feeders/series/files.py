@@ -20,6 +20,9 @@ TIMES = ("time", "timestamp", "datetime")
 IDS = ("id", "asset", "name", "element")
 VALUES = ("value", "p", "power")
 _UNIT = re.compile(r"(?:_|\s*\[|\s*\(|\s+)(kw|mw|pu|p\.u\.)[\])]?$", re.IGNORECASE)
+_OTHER_UNIT = re.compile(
+    r"(?<!_per)(?:_|\s*\[|\s*\(|\s+)(w|wh|kwh|mwh|gw|kva|mva|kvar|mvar)[\])]?$", re.IGNORECASE
+)
 _PLAIN = re.compile(r"(kw|mw|pu|p\.u\.)", re.IGNORECASE)
 
 
@@ -169,6 +172,16 @@ def _named(text: str) -> tuple[str, str]:
     if found is None or found.start() == 0:
         return text.strip(), ""
     return text[: found.start()].strip(), found.group(1).lower().replace(".", "")
+
+
+def other_unit(name: str) -> str:
+    """A unit that series cannot have at the end of a name without one that they can.
+
+    >>> other_unit("c18_kWh"), other_unit("c18 [W]"), other_unit("south")
+    ('kWh', 'W', '')
+    """
+    found = _OTHER_UNIT.search(name)
+    return found.group(1) if found else ""
 
 
 def _plain(text: str) -> str:
