@@ -95,6 +95,28 @@ def test_an_operation_that_is_not_seen_in_time_stops_the_order(live: Live) -> No
     assert http.delete("/v1/switching").json()["status"] == "none"
 
 
+def test_an_order_that_an_operator_has_not_seen_is_not_replaced(live: Live) -> None:
+    http, clock = live
+    read(http, clock, t=0, s=1)
+    asked = {"closed": {"t": True, "s": False}}
+    tag = http.get("/v1/switching").headers["etag"]
+    first = http.put("/v1/switching", asked, if_match=tag)
+    seen = first.headers["etag"]
+    assert first.status == 200 and seen != tag
+    late = http.put("/v1/switching", {"closed": {"s": False}}, if_match=tag)
+    assert (late.status, late.json()["detail"]) == (412, "The switching has changed since.")
+    assert http.delete("/v1/switching", if_match=tag).status == 412
+    asks = {"switch": "t"}
+    assert http.post("/v1/switching/confirm", asks, if_match=tag).status == 412
+    told = http.get("/v1/switching")
+    assert (told.headers["etag"], told.json()["asked"]) == (seen, asked["closed"])
+    confirmed = http.post("/v1/switching/confirm", asks, if_match=seen)
+    assert confirmed.status == 200
+    # What was confirmed meanwhile is another state of the order.
+    assert http.put("/v1/switching", asked, if_match=seen).status == 412
+    assert http.delete("/v1/switching", if_match=confirmed.headers["etag"]).status == 200
+
+
 PAGE = """
 import { switching } from "./words.mjs";
 import { readFileSync } from "node:fs";
@@ -428,10 +450,11 @@ def with_three_switches() -> Scenario:
     return replace(switched(), switches=switches)
 
 
-@pytest.mark.parametrize("mode", ["paper", "physical"])
+@pytest.mark.parametrize(
+    "mode", ["paper", "physical", pytest.param("by phase", marks=pytest.mark.daily)]
+)
 def test_without_grid_a_tie_supplies_what_is_behind_a_fault(tmp_path: Path, mode: str) -> None:
-    service = Service(switched(), replace(HERE, mode=mode), paced=True)
-    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+    with serving(site_of(mode), tmp_path / "db", SetClock(NOON)) as (http, runner):
         read(http, runner.clock, t=0, s=1)
         lose_grid(http, runner.clock)
         out(http, "3")
@@ -450,9 +473,12 @@ def test_without_grid_a_tie_supplies_what_is_behind_a_fault(tmp_path: Path, mode
         assert the_shop(anew)["served"] and not anew["grid"]["available"]
 
 
-def test_an_island_is_split_where_each_part_holds_what_its_set_points_say(tmp_path: Path) -> None:
+@pytest.mark.parametrize("by_phase", [False, pytest.param(True, marks=pytest.mark.daily)])
+def test_an_island_is_split_where_each_part_holds_what_its_set_points_say(
+    tmp_path: Path, by_phase: bool
+) -> None:
     """Without the other battery, big at bus 2 would have to give 60 + 40 - 20 kW of 50."""
-    day = with_three_switches()
+    day = three_phases(with_three_switches()) if by_phase else with_three_switches()
     with serving(
         Service(day, replace(HERE, mode="physical"), paced=True), tmp_path / "db", SetClock(NOON)
     ) as (http, runner):
@@ -475,9 +501,9 @@ def test_an_island_is_split_where_each_part_holds_what_its_set_points_say(tmp_pa
         )
 
 
-def test_a_dark_island_has_no_voltage_to_check(tmp_path: Path) -> None:
-    service = Service(switched(), replace(HERE, mode="physical"), paced=True)
-    with serving(service, tmp_path / "db", SetClock(NOON)) as (http, runner):
+@pytest.mark.parametrize("mode", ["physical", "by phase"])
+def test_a_dark_island_has_no_voltage_to_check(tmp_path: Path, mode: str) -> None:
+    with serving(site_of(mode), tmp_path / "db", SetClock(NOON)) as (http, runner):
         read(http, runner.clock, t=0, s=1)
         lose_grid(http, runner.clock)
         plan = decided(http, runner.clock, NOON, 0.15)

@@ -296,3 +296,25 @@ def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int, for
         np.testing.assert_allclose(found.taken_kw[kind], taken_kw, atol=1.0)
     np.testing.assert_allclose(found.p_grid_kw, plan.p_grid_kw, atol=0.5)
     np.testing.assert_allclose(found.v_pu, plan.v_pu, atol=1e-4)
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize(("size", "hours"), [(1.0, 1), (1.4, 1), (1.4, 2)])
+def test_batteries_do_not_change_hours_of_the_same_price_from_pass_to_pass(
+    tmp_path: Path, size: float, hours: int
+) -> None:
+    """All six hours before an outage cost the same: the first pass with turns is the last one."""
+    day = day_of(CIRCUIT, tmp_path)
+    n_steps, b = day.grid.n_steps, day.batteries
+    sized = {name: size * getattr(b, name) for name in ("p_max_kw", "energy_kwh", "s_max_kva")}
+    hard = replace(
+        day,
+        load_kw=size * day.load_kw,
+        pv_kw=0.0 * day.pv_kw,
+        price_gbp_per_kwh=np.full(n_steps, 0.3),
+        grid_limit_kw=np.where(np.arange(n_steps) < 6, np.inf, 0.0),
+        batteries=replace(b, **sized, soc_initial=b.soc_max),
+    )
+    decision = first_plan(hard.between(0, 6 + hours))
+    assert (decision.info.status, decision.info.passes) == ("optimal", 3)
+    assert decision.dispatch.discharge_kw[:6].max() > 1.0

@@ -2,9 +2,9 @@
 
 The first solve decides who is served, at the AC points of the plan before. The passes after it
 solve the continuous part for that set, at the AC points of the last candidate, until model and AC
-agree in every step or the passes are used up. From the third on batteries keep their turns: two
-plans that are worth the same may charge in different steps, and what they lose is never the same.
-The set is decided anew only where the losses leave it no dispatch.
+agree in every step or the passes are used up. From the third on batteries keep their turns, by
+phase that to rest too: two plans that are worth the same may charge in different steps, and what
+they lose is never the same. The set is decided anew only where the losses leave it no dispatch.
 """
 
 from __future__ import annotations

@@ -154,7 +154,8 @@ def _ways(
         if charges is None and before is not None:
             charges = before.charge_kw > before.discharge_kw
         way = CheapestDispatch.of_set(task.cache, task.data, served)
-        outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
+        kept = before if keeps_turns else None
+        outcome, dispatch = way.of(served, task.answer_by(HALF), charges, kept)
         found = netted(task, outcome, dispatch)
         yield found and carried(task, found, *ways_of_rows(task))
         if keeps_turns or (found is None and outcome.status == Status.INFEASIBLE):

@@ -141,10 +141,16 @@ def feeder_of_scenario(
     )
 
 
-def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str, Any]:
+def of_the_day(
+    day: Scenario,
+    step: int,
+    soc: Floats | None = None,
+    drawn: tuple[Floats, Floats] | None = None,
+) -> dict[str, Any]:
     """Faults and cold load of a step, devices that can hold islands, customers of each bus.
 
-    With phases also the power flow of its states.
+    With phases also the power flow of its states, with what all devices draw in kW and kvar; what
+    they do without control if it is not given.
     """
     net, customers = day.network, day.customers
     out = day.out_of_service(range(step, step + 1))
@@ -160,8 +166,9 @@ def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str,
         found["cold_kw"] = more @ day.load_kw[step]
         found["cold_kvar"] = more @ day.load_kvar[step]
     if day.phases:
-        series = day.load_kw[step], day.load_kvar[step], day.pv_kw[step]
-        drawn = drawn_uncontrolled(*series, len(assets_of(day)))
+        if drawn is None:
+            series = day.load_kw[step], day.load_kvar[step], day.pv_kw[step]
+            drawn = drawn_uncontrolled(*series, len(assets_of(day)))
         found["by_phase"] = FlowInStates(day, map(str, formers.id), *drawn)
     return found
 

@@ -17,7 +17,6 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
-from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import (
@@ -69,16 +68,14 @@ class Switchgear:
     def _feeder(self) -> SwitchedFeeder:
         net = self.step.network
         limits = ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu)
-        given = of_the_day(self.step, 0, self.soc)
+        drawn = None if self.has_grid else drawn_told(self.step, self.set_points)
+        given = of_the_day(self.step, 0, self.soc, drawn)
         injection = injection_at(self.step, 0)
-        if not self.has_grid:
-            drawn = drawn_told(self.step, self.set_points)
+        if drawn is not None:
             at_bus = net.place(buses_of(self.step))
             injection = -at_bus @ drawn[0], -at_bus @ drawn[1]
             formers = given["formers"] if self.is_lit else Formers.none()
             given["formers"] = _as_told(formers, self.set_points)
-            if self.step.phases:
-                given["by_phase"] = FlowInStates(self.step, map(str, formers.id), *drawn)
         return SwitchedFeeder(
             net, self.step.switches, *injection, limits, grid=self.source, **given
         )

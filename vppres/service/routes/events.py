@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Response
 from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
@@ -15,6 +15,7 @@ from vppres.service.events.faults import check_fault
 from vppres.service.events.openadr import OpenADREvent, events_of, those_of
 from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
+from vppres.service.routes.versions import IfMatch, replaced_by
 from vppres.service.storage.records import Event, moment
 from vppres.service.window import check_forecast
 
@@ -54,7 +55,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         body: payloads.Event,
         response: Response,
         actor: str = guarded("events"),
-        if_match: Annotated[str | None, Header()] = None,
+        if_match: IfMatch = None,
     ) -> dict[str, Any]:
         """An outage, a belief or what a crew says of its end; a line or bus that is out.
 
@@ -71,7 +72,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def delete_event(
         identifier: payloads.Name,
         actor: str = guarded("events"),
-        if_match: Annotated[str | None, Header()] = None,
+        if_match: IfMatch = None,
     ) -> dict[str, Any]:
         """Withdraw an event; its history stays."""
         if identifier not in runner.store.events():
@@ -116,7 +117,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
 def _version(if_match: str | None) -> int | None:
     """The version that is to be replaced; none that there can be if the header names none."""
-    if if_match is None:
+    text = replaced_by(if_match)
+    if text is None:
         return None
-    text = if_match.strip().strip('"')
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else -1

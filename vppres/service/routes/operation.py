@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Response
 
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.operation.runner import MODE, Runner
 from vppres.service.routes.guard import Guard
+from vppres.service.routes.versions import IfMatch, replaced_by
 from vppres.service.telemetry.knowledge import check_setpoints, last_heard
 
 
@@ -44,14 +45,14 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         body: payloads.ModeRequest,
         response: Response,
         actor: str = guarded("operator"),
-        if_match: Annotated[str | None, Header(max_length=100)] = None,
+        if_match: IfMatch = None,
     ) -> dict[str, Any]:
         """Decide, hold the last set-points, give the operator's or defaults, at once."""
         check_setpoints(body.setpoints, runner.scenario)
         asked = body.model_dump()
         found = runner.checked(asked) if body.setpoints else []
-        replacing = None if if_match is None else if_match.strip().strip('"')
-        tag = runner.store.put_setting(MODE, asked, runner.clock.now(), actor, replacing)
+        now, replaced = runner.clock.now(), replaced_by(if_match)
+        tag = runner.store.put_setting(MODE, asked, now, actor, replaced)
         runner.changes.note(f"mode {body.mode}")
         response.headers["ETag"] = f'"{tag}"'
         return {**runner.mode, **({"found": found} if body.setpoints else {})}

@@ -4,48 +4,68 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 
 from vppres.service import payloads
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.switching import SWITCHING
 from vppres.service.routes.guard import Guard
+from vppres.service.routes.versions import IfMatch, replaced_by
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
     """States are asked for, and operations confirmed, one after another."""
     router = APIRouter()
 
-    @router.get("/v1/switching")
-    def switching(_: str = guarded("read")) -> dict[str, Any]:
-        """States of the switches, and the operations that are left."""
+    def told(response: Response) -> dict[str, Any]:
+        """Present state, with the ETag that ``If-Match`` takes."""
+        response.headers["ETag"] = f'"{runner.store.setting(SWITCHING)[1]}"'
         return runner.switchgear().told()
+
+    def kept(asked: dict[str, Any], seen: str, actor: str, if_match: str | None) -> None:
+        """Keep what is asked for in the place of what was seen, and of what a sender has seen."""
+        replaced = replaced_by(if_match)
+        tag = seen if replaced is None else replaced
+        runner.store.put_setting(SWITCHING, asked, runner.clock.now(), actor, tag)
+
+    @router.get("/v1/switching")
+    def switching(response: Response, _: str = guarded("read")) -> dict[str, Any]:
+        """States of the switches, and the operations that are left."""
+        return told(response)
 
     @router.put("/v1/switching")
     def put_switching(
-        body: payloads.SwitchingRequest, actor: str = guarded("operator")
+        body: payloads.SwitchingRequest,
+        response: Response,
+        actor: str = guarded("operator"),
+        if_match: IfMatch = None,
     ) -> dict[str, Any]:
         """Ask for states of switches; no operation is carried out before it is confirmed."""
-        asked = {**body.model_dump(), "issued": runner.switchgear().told()["issued"]}
+        before, seen = runner.store.setting(SWITCHING)
+        asked = {**body.model_dump(), "issued": runner.switchgear(before).told()["issued"]}
         runner.switchgear(asked).check()
-        runner.store.put_setting(SWITCHING, asked, runner.clock.now(), actor)
-        return runner.switchgear().told()
+        kept(asked, seen, actor, if_match)
+        return told(response)
 
     @router.delete("/v1/switching")
-    def delete_switching(actor: str = guarded("operator")) -> dict[str, Any]:
+    def delete_switching(
+        response: Response, actor: str = guarded("operator"), if_match: IfMatch = None
+    ) -> dict[str, Any]:
         """Ask for nothing more; an operation that was confirmed is not taken back."""
-        left = {"issued": runner.switchgear().told()["issued"]}
-        runner.store.put_setting(SWITCHING, left, runner.clock.now(), actor)
-        return runner.switchgear().told()
+        before, seen = runner.store.setting(SWITCHING)
+        kept({"issued": runner.switchgear(before).told()["issued"]}, seen, actor, if_match)
+        return told(response)
 
     @router.post("/v1/switching/confirm")
     def confirm(
-        body: payloads.ConfirmedOperation, actor: str = guarded("operator")
+        body: payloads.ConfirmedOperation,
+        response: Response,
+        actor: str = guarded("operator"),
+        if_match: IfMatch = None,
     ) -> dict[str, Any]:
         """Confirm the next operation, which devices then carry out."""
-        asked, tag = runner.store.setting(SWITCHING)
-        changed = runner.switchgear(asked).confirmed(body.switch)
-        runner.store.put_setting(SWITCHING, changed, runner.clock.now(), actor, tag)
-        return runner.switchgear().told()
+        before, seen = runner.store.setting(SWITCHING)
+        kept(runner.switchgear(before).confirmed(body.switch), seen, actor, if_match)
+        return told(response)
 
     return router

@@ -11,6 +11,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.numerics import cost_scale
+from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.violations import POWER_TOLERANCE_REL
 from vppres.solve.cache import ModelCache
@@ -23,6 +24,9 @@ from vppres.solve.result import Outcome, Status
 EXACT_DISC = HALF * POWER_TOLERANCE_REL
 """The same in a dispatch: half of what its check allows."""
 
+
+RESTING_SHARE = 1e-3
+"""Power up to which a battery counts as resting, as a share of the largest that it gives."""
 
 BOTH_WAYS_KW = 1e-4
 """Import and export of the same step above which a dispatch goes on one way in each step."""
@@ -62,12 +66,12 @@ class CheapestDispatch:
         served: Flags,
         deadline: Deadline,
         charges: Flags | None = None,
-        keeps_turns: bool = False,
+        kept: Dispatch | None = None,
     ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a supply schedule, within the discs.
 
-        Those of ``charges``, (W, B), charge and others discharge where batteries waste energy, or
-        everywhere if it ``keeps_turns``.
+        Those of ``charges``, (W, B), charge and others discharge where batteries waste energy; if
+        a plan's turns are ``kept``, all batteries take these everywhere.
         """
         watch = Stopwatch()
         program = self.network.of_set(served)
@@ -75,8 +79,8 @@ class CheapestDispatch:
         cost[self.model.at("P_curt")] += self._worth_of_sun
         program = replace(program, cost=cost)
         solver = self.network.loaded(program)
-        if charges is not None and keeps_turns:
-            self._hold(solver, self._resting(charges), 0.0)
+        if kept is not None:
+            self._hold(solver, self._out_of_turn(kept), 0.0)
         found = self.network.until_carried(solver, deadline, EXACT_DISC)
         done = found.status == Status.OPTIMAL
         unused = self._unused(found, served, charges) if done else np.arange(0)
@@ -139,6 +143,19 @@ class CheapestDispatch:
         """Columns of batteries that do not charge, and of those that do not discharge."""
         at = self.model.at
         return np.append(at("P_dch")[charges], at("P_ch")[~charges])
+
+    def _out_of_turn(self, plan: Dispatch) -> Wholes:
+        """Columns that a plan's turns leave unused.
+
+        Batteries that rest beside the grid go on resting: in hours of the same price it is all the
+        same which of them discharge when, and each plan would choose anew.
+        """
+        b, at = self.site.batteries, self.model.at
+        given_kw = plan.discharge_kw - plan.charge_kw
+        rests = np.abs(given_kw) <= RESTING_SHARE * b.p_max_kw
+        rests &= at_items(self.data.with_grid, self.site.battery_bus)
+        unused = at("P_dch")[rests | (given_kw < 0.0)], at("P_ch")[rests | (given_kw >= 0.0)]
+        return np.concatenate(unused)
 
     def _storable(self, answer: ProgramSolution, served: Flags) -> bool:
         """Whether batteries can store what a solution charges less what it discharges."""
