@@ -89,7 +89,7 @@ MECHANISMS = (
     Mechanism(
         "service in the network",
         {"network.decide.network_master": nothing, "ladder.network_master": nothing},
-        ("network.master", "network.sets", "network.cheapest", "network.large"),
+        ("network.master", "network.cheapest", "network.large"),
     ),
     Mechanism(
         "cuts of feeders",

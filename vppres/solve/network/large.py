@@ -7,9 +7,8 @@ the slack bus. Their own searches at the prices of what all share give cuts (``d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -21,16 +20,25 @@ from vppres.model.parts import at_items
 from vppres.scenario.network import Network
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import HALF, Deadline
-from vppres.solve.network.master import DISCS, NetworkMaster
-from vppres.solve.network.program import DISC
+from vppres.solve.network.master import NetworkMaster, SearchState
 from vppres.solve.network.rows import limited
-from vppres.solve.network.sets import BOUND_OFF, SearchState, ServiceCuts
-from vppres.solve.programs import NODES, PROOF, SOLVED, Program, ProgramSolution
+from vppres.solve.programs import HALF_UNIT, NODES, PROOF, SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status
 from vppres.solve.sizes import is_large
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
+
+BOUND_OFF = 1e-4
+"""Units that a bound on a large window may be off by, which a solver has within its tolerance: what
+a search proves gives way by it, and a set that lacks no more is asked for its dispatch."""
+
+PREFERENCE = 0.3
+"""Units for which a set may be preferred because it is close to a linear solution. Twice as much
+must stay below one unit, or the best set would no longer be told from the next."""
+
+PREFERENCE_LEFT = 0.03
+"""Of the units for which a set may be preferred, how many a set may lack that ends a search."""
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -158,6 +166,87 @@ class Feeders:
         )
 
 
+class ServiceCuts:
+    """Cuts on the service of sets that are carried: ``units @ x <= most + gain @ x``.
+
+    ``able`` is 1 for who may be served.
+    """
+
+    def __init__(self, units: Floats, able: Floats) -> None:
+        self.units = units
+        self.able = able
+        self.gains: list[Floats] = []
+        self.most_units: list[float] = []
+        self.first_left: Floats = np.zeros(len(units))
+        self.raised: Floats = np.zeros(len(units))
+        self.by_feeders = 0.0
+
+    def add(self, left: Floats, most: float) -> float:
+        """Add a bound ``most - left @ x``; returns its largest value.
+
+        What supplying a customer costs is left out but for the first: such rows are searched
+        faster.
+        """
+        if not self.gains:
+            self.first_left = left
+        self.gains.append(np.maximum(-left, 0.0))
+        self.most_units.append(most + SOLVED)
+        return most + float(self.gains[-1].sum())
+
+    @property
+    def first(self) -> float:
+        """The first bound on all sets."""
+        return self.most_units[0] + float(self.gains[0].sum()) - self.by_feeders
+
+    def lower(self, raised: Floats, total: float) -> None:
+        """Lower the first bound by what feeders' own searches take from it.
+
+        ``raised`` is what the search of each customer's feeder takes, zero without one, and
+        ``total`` the sum over the feeders. A departure from the linear solution costs a feeder that
+        much for nothing, since its search has seen all of them.
+        """
+        self.raised = raised
+        self.by_feeders = total
+        gain = self.gains[0]
+        searched = raised > 0.0
+        self.gains.append(np.where(searched, 0.0, gain))
+        self.most_units.append(self.most_units[0] + float(gain[searched].sum()) - total)
+
+    def with_units(
+        self, units: float, shares: Floats, held: Floats, deadline: Deadline
+    ) -> ProgramSolution:
+        """A set of just so many units; infeasible where no set that is carried has them.
+
+        ``held`` decides the customers that it supplies where it is not NaN: of others nothing is
+        proven then.
+        """
+        decided = np.flatnonzero(~np.isnan(held))
+        program = self._program(shares, units).with_held(decided, held[decided])
+        just = sp.csc_array(self.units[None, :])
+        limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
+        solver = program.with_range(just, *limits).loaded(
+            1.0 - 2.0 * PREFERENCE, enough=PREFERENCE_LEFT - units
+        )
+        return ProgramSolution.of(solver, deadline)
+
+    def _program(self, shares: Floats, at_least: float) -> Program:
+        """The most units under all bounds, at least so many.
+
+        Whose service or lack of it would alone cost too much by the first bound is decided.
+        """
+        away = 1.0 - shares
+        spare = self.first - at_least + self.raised
+        return Program(
+            PREFERENCE / max(1.0, float(away.sum())) * away - self.units,
+            (self.first_left < -spare).astype(float),
+            (self.first_left <= spare) * self.able,
+            sp.csc_array(self.units - np.array(self.gains)),
+            np.full(len(self.gains), -np.inf),
+            np.array(self.most_units),
+            np.arange(len(self.units)),
+        )
+
+
 class LargeMaster(NetworkMaster):
     """The master in the network of a large window, whose searches have no rows of the network."""
 
@@ -166,26 +255,30 @@ class LargeMaster(NetworkMaster):
         """Customers in parts beside that with the grid's bus, (W * C,)."""
         return at_items(self.data.parts.beyond, self.site.customer_bus).ravel()
 
-    def _close(self, known: SearchState, cuts: ServiceCuts, deadline: Deadline) -> None:
+    def _close(self, known: SearchState, deadline: Deadline) -> None:
         """Try sets of as many units as none exceeds, and of fewer where there are none.
 
-        The best set is put to the discs themselves, in two steps, where it has no dispatch within
-        them: it may exceed many by the little that a bound admits. From then on each better one is.
+        The linear problem in which no customer is supplied beyond a schedule bounds the service of
+        all sets by its value and reduced costs: the next set satisfies all such inequalities.
         """
+        cuts = ServiceCuts(self.units, self.able)
+        known.bound = float(np.floor(self._cut(self.root[1], cuts) + SOLVED))
         held = np.full(len(self.units), np.nan)
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
             known.bound = max(known.most, float(np.floor(cuts.first + SOLVED)))
         known.tried = np.where(np.isnan(held), self.able, held)
-        if not known.closed() and not self._learns(known, cuts, deadline, DISC):
-            return
-        for over, finer in pairwise(DISCS):
-            self._reach(known, cuts, held, deadline, over)
-            if known.best is None or self._has_dispatch(known.best):
-                return
-            if self._put_to_discs(known, cuts, finer) is None:
-                return
-        self._reach(known, cuts, held, deadline, finer)
+        if not known.closed() and self._learns(known, cuts):
+            self._reach(known, cuts, held, deadline)
+
+    def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
+        """Add what a linear problem proves of all sets; returns its bound on service in units."""
+        x = self.model.at("x_served").ravel()
+        program = limited(self.network.with_cost(*self.lack), self.network.found)
+        worth, left = program.priced(_prices_of(program, linear))
+        rest = np.minimum(left * program.x_lower, left * program.x_upper)
+        rest[x] = 0.0
+        return cuts.add(left[x] * self.able, -worth - float(rest.sum()))
 
     def _by_feeders(self, cuts: ServiceCuts, deadline: Deadline) -> Floats:
         """Lower the first bound by feeders' own searches; returns who is supplied.
@@ -204,7 +297,9 @@ class LargeMaster(NetworkMaster):
         of_column = self.model.feeders(of_bus)[self.model.origin]
         cut = of_bus[1:][self.data.parts.lines.any(axis=0)]
         program = limited(self.network.with_cost(*self.lack), self.network.found)
-        feeders = Feeders(program, self.root[1], of_column, x)
+        root = self.root[1]
+        solution = replace(root, row_dual=_prices_of(program, root))
+        feeders = Feeders(program, solution, of_column, x)
         end = deadline.part(HALF)
         for number in feeders.fractional:
             if end.passed:
@@ -219,7 +314,7 @@ class LargeMaster(NetworkMaster):
         return held
 
     def _reach(
-        self, known: SearchState, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
+        self, known: SearchState, cuts: ServiceCuts, held: Floats, deadline: Deadline
     ) -> None:
         """Try sets of as many units as the bound, which falls where none has them.
 
@@ -227,7 +322,7 @@ class LargeMaster(NetworkMaster):
         """
         goal = known.bound
         while goal > known.most and not deadline.passed:
-            none_has = self._none_has(goal, known, cuts, held, deadline, over)
+            none_has = self._none_has(goal, known, cuts, held, deadline)
             if none_has and goal == known.bound:
                 known.exclude()
             goal -= 1.0
@@ -239,7 +334,6 @@ class LargeMaster(NetworkMaster):
         cuts: ServiceCuts,
         held: Floats,
         deadline: Deadline,
-        over: float,
     ) -> bool:
         """Whether it is proven that no set has so many units, after some that might were tried.
 
@@ -257,23 +351,14 @@ class LargeMaster(NetworkMaster):
                 if (np.round(found.x) == known.tried).all():
                     return False
                 known.tried = np.round(found.x)
-                done = not self._learns(known, cuts, deadline, over)
+                done = not self._learns(known, cuts)
                 if done or known.most >= units or deadline.passed:
                     return False
         return found is not None and found.status == Status.INFEASIBLE
 
-    def _learns(
-        self, known: SearchState, cuts: ServiceCuts, deadline: Deadline, over: float
-    ) -> bool:
-        """Put the set that is tried into the network; says whether that was solved.
-
-        The discs themselves are asked only where the set would be the best without them.
-        """
-        solver = self.root[0]
-        enough = known.most
-        linear = self._tried(solver, known.tried, DISC, enough, deadline)
-        if over < DISC and self.units @ self._in_full(linear) > enough:
-            linear = self._tried(solver, known.tried, over, enough, deadline)
+    def _learns(self, known: SearchState, cuts: ServiceCuts) -> bool:
+        """Put the set that is tried into the network; says whether that was solved."""
+        linear = self._tried(known.tried, known.most)
         if linear.status != Status.OPTIMAL:
             return False
         self._cut(linear, cuts)
@@ -283,6 +368,12 @@ class LargeMaster(NetworkMaster):
         if wanted + linear.value < BOUND_OFF:
             known.improve(known.tried, wanted)
         return True
+
+
+def _prices_of(program: Program, linear: ProgramSolution) -> Floats:
+    """Prices of a program's rows in a solution; limits that were added later had none."""
+    prices = linear.row_dual
+    return np.pad(prices, (0, len(program.lower) - len(prices)))
 
 
 def master_in_network(cache: ModelCache, data: WindowData, deadline: Deadline) -> NetworkMaster:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import highspy
@@ -20,9 +19,8 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
-from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
+from vppres.solve.network.program import DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import SearchState, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
@@ -39,8 +37,8 @@ from vppres.solve.programs import (
 from vppres.solve.result import Outcome, Status
 from vppres.solve.sizes import is_large
 
-DISCS = (DISC, FINER_DISC, EXACT_DISC)
-"""The shares one after the other: a set that the second admits may need the little that it does."""
+DISCS = (DISC, EXACT_DISC)
+"""Shares by which a set that is tried may exceed discs, one after the other."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -56,6 +54,42 @@ def applies(site: Site, data: WindowData) -> bool:
     if data.switching is None:
         return True
     return whole_price(data, unit) and not is_large(site, data.n_steps)
+
+
+@dataclass
+class SearchState:
+    """The set last tried, the bound on all, and the best set that is carried, in units.
+
+    ``shares`` is how far customers are served by the last linear solution.
+    """
+
+    tried: Floats
+    bound: float
+    shares: Floats
+    best: Floats | None = None
+    most: float = -np.inf
+
+    def closed(self) -> bool:
+        """Whether the best set has as much as the bound."""
+        return self.most >= self.bound
+
+    def take(self, found: ProgramSolution) -> None:
+        """The next set to try, and what its search proves."""
+        if found.status == Status.INFEASIBLE:
+            self.bound = self.most
+        elif found.status.has_answer:
+            self.tried = np.round(found.x)
+        self.bound = max(self.most, min(self.bound, float(np.floor(SOLVED - found.bound))))
+
+    def exclude(self) -> None:
+        """No set that is carried has as much as the bound."""
+        self.bound = max(self.most, self.bound - 1.0)
+
+    def improve(self, carried: Floats, units: float) -> None:
+        """Keep a set that is carried if it is the best."""
+        if units > self.most:
+            self.best = carried
+            self.most = units
 
 
 class NetworkMaster:
@@ -82,7 +116,6 @@ class NetworkMaster:
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
-        self._dispatched: tuple[Flags, Outcome, Dispatch | None] | None = None
         self.pair = 0.0
         self.beyond: Floats = np.zeros(0)
         if data.switching is not None:
@@ -126,21 +159,15 @@ class NetworkMaster:
     def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
 
-        The linear problem in which no customer is supplied beyond a schedule bounds the service of
-        all sets by its value and reduced costs. Sets that satisfy all such inequalities so far are
-        tried until one is carried in full. In a large window the best is put to the discs
-        themselves.
+        Sets are tried, at most as good as the bound says, until one is carried in full.
         """
         watch = Stopwatch()
         x = self.model.at("x_served")
         root = self.root[1]
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
-        cuts = ServiceCuts(self.units, self.able)
-        most = self._cut(root, cuts)
-        known = SearchState(self.able, float(np.floor(most + SOLVED)), self._shares(root))
-        known.improve(*self._carried(root))
-        self._close(known, cuts, deadline)
+        known = SearchState(self.able, self.most_units, self._shares(root))
+        self._close(known, deadline)
         if known.best is None:
             ended = Status.INFEASIBLE if known.closed() else Status.NO_ANSWER
             return Outcome(ended, np.nan, np.nan, watch.spent_s, DIRECT), None
@@ -151,120 +178,57 @@ class NetworkMaster:
         outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
-    def _close(self, known: SearchState, cuts: ServiceCuts, deadline: Deadline) -> None:
+    def _close(self, known: SearchState, deadline: Deadline) -> None:
         """Try sets until the best has as much as the bound, or nothing improves any more.
 
-        With rules the best set is put to the discs themselves, in two steps, where it has no
-        dispatch within them: no customer can be left out of it then without breaking them. So it is
-        with phases, where the former's disc decides how much is served in an island.
+        A search with binaries has the limits that had a price in a linear solution so far: most of
+        the others never bind, and make every node slower. Its set goes to the linear problem in
+        which no customer is supplied beyond it. What that serves in full is carried, and its prices
+        forbid the set if that is less than all.
         """
-        binding = self._priced(self.root[1])
-        for over, finer in pairwise(DISCS):
-            binding = self._try_sets(known, cuts, deadline, binding, over)
-            plain = self.data.switching is None and self.data.phased is None
-            if known.best is None or plain or deadline.passed:
-                return
-            if self._has_dispatch(known.best):
-                return
-            carried = self._put_to_discs(known, cuts, finer)
-            if carried is None:
-                return
-            binding = self._also_priced(binding, carried)
-        self._try_sets(known, cuts, deadline, binding, finer)
-
-    def _try_sets(
-        self,
-        known: SearchState,
-        cuts: ServiceCuts,
-        deadline: Deadline,
-        binding: Flags,
-        over: float,
-    ) -> Flags:
-        """Try sets within discs that are exceeded so far; returns the limits that have bound."""
+        binding = self._priced(self.network.program, self.root[1])
         while not known.closed() and not deadline.passed:
             enough = known.most
             known.take(self._searched(binding, known.bound, known.best, deadline))
             if known.closed():
-                break
-            linear = self._tried(self.root[0], known.tried, over, enough)
+                return
+            linear = self._tried(known.tried, enough)
             if linear.status != Status.OPTIMAL:
-                break
-            self._cut(linear, cuts)
-            known.shares = self._shares(linear)
+                return
             known.improve(*self._carried(linear))
-            # These forbid the set that was tried, if it is not carried in full.
-            binding = self._also_priced(binding, linear)
-        return binding
-
-    def _also_priced(self, binding: Flags, linear: ProgramSolution) -> Flags:
-        """Limits that have bound, and those with a price in a linear solution."""
-        priced = self._priced(linear)
-        return priced | np.pad(binding, (0, len(priced) - len(binding)))
-
-    def _put_to_discs(
-        self, known: SearchState, cuts: ServiceCuts, over: float
-    ) -> ProgramSolution | None:
-        """Put the best set to discs so near the true ones; the best is what they carry of it then.
-
-        None where that was not solved.
-        """
-        assert known.best is not None
-        carried = self._tried(self.root[0], known.best, over, -np.inf, self.deadline)
-        if carried.status != Status.OPTIMAL:
-            return None
-        self._cut(carried, cuts)
-        known.shares = self._shares(carried)
-        known.best, known.most = None, -np.inf
-        known.improve(*self._carried(carried))
-        return carried
+            binding = np.union1d(binding, self._priced(self.network.program, linear))
 
     def carries(self, served: Flags) -> bool:
         """Whether the relaxation in the network serves a set in full."""
-        solver, root = self.root
-        if root.status != Status.OPTIMAL:
+        if self.root[1].status != Status.OPTIMAL:
             return True
-        x = self.model.at("x_served").ravel()
         wanted = served.ravel().astype(float)
-        linear = self._tried(solver, wanted, DISC, -np.inf)
-        solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), self.able)
-        # The limits that were added have no price in the first solution.
-        none = np.zeros(solver.getNumRow() - len(root.row_dual))
-        self.root = solver, replace(root, row_dual=np.append(root.row_dual, none))
+        linear = self._until_carried(self._at_most(wanted), self.deadline)
         done = linear.status == Status.OPTIMAL
         return not done or bool(self.units @ self._in_full(linear) >= self.units @ wanted)
 
-    def _tried(
-        self,
-        solver: highspy.Highs,
-        served: Floats,
-        over: float,
-        worth: float,
-        again: Deadline | None = None,
-    ) -> ProgramSolution:
-        """Most service if no customer is supplied beyond a schedule.
-
-        A solver that gives up begins anew, which takes long, where there is a deadline for it.
-        """
+    def _at_most(self, served: Floats) -> highspy.Highs:
+        """The solver of the root, by which no customer is supplied beyond a schedule."""
+        solver = self.root[0]
         x = self.model.at("x_served").ravel()
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
-        linear = self._until_carried(solver, self.deadline, over, worth=worth)
-        if linear.status == Status.NUMERICAL and again is not None:
-            self.network.start(solver)
-            linear = self._until_carried(solver, again, over, worth=worth)
+        return solver
+
+    def _tried(self, served: Floats, enough: float) -> ProgramSolution:
+        """Most service if no customer is supplied beyond a schedule.
+
+        Discs come nearer to the true ones as long as more units than enough are served in full.
+        """
+        solver = self._at_most(served)
+        for over in DISCS:
+            linear = self._until_carried(solver, self.deadline, over, worth=enough)
+            if linear.status != Status.OPTIMAL or self.units @ self._in_full(linear) <= enough:
+                break
         return linear
 
     def _shares(self, linear: ProgramSolution) -> Floats:
         """How far customers are served by a linear solution."""
         return np.asarray(linear.x[self.model.at("x_served").ravel()])
-
-    def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
-        """Add what a linear problem proves of all sets; returns its bound on service in units."""
-        x = self.model.at("x_served").ravel()
-        program = limited(self.network.with_cost(*self.lack), self.network.found)
-        worth, left = program.priced(linear.row_dual)
-        rest = np.minimum(left * program.x_lower, left * program.x_upper)
-        rest[x] = 0.0
-        return cuts.add(left[x] * self.able, -worth - float(rest.sum()))
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
         """Customers that a linear solution serves in full."""
@@ -293,7 +257,7 @@ class NetworkMaster:
         )
 
     def _searched(
-        self, binding: Flags, at_most: float, best: Floats | None, deadline: Deadline
+        self, binding: Wholes, at_most: float, best: Floats | None, deadline: Deadline
     ) -> ProgramSolution:
         """Search with binaries and some of the limits in the network, until so many units.
 
@@ -301,7 +265,7 @@ class NetworkMaster:
         good, and a search that begins with one took half as long again.
         """
         x = self.model.at("x_served")
-        rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
+        rows = [Rows.joined(self.network.found).part(binding)] if len(binding) else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
         solver = counted.loaded(WHOLE_GAP, enough=HALF_UNIT - at_most, more=self._options)
         if best is not None and self.data.switching is not None:
@@ -320,13 +284,10 @@ class NetworkMaster:
         alike = columns_of_alike(x, self.site.customers.weight)
         return with_sums(replace(limited(program, rows), integer=x.ravel()), alike)
 
-    def _priced(self, linear: ProgramSolution) -> Flags:
-        """Which of the limits found so far have a price in a linear solution.
-
-        The others, most of them, make every node of a search slower and seldom bind in one.
-        """
-        known = len(linear.row_dual) - self.network.limits
-        return np.asarray(linear.row_dual[known:] != 0.0)
+    @staticmethod
+    def _priced(program: Program, linear: ProgramSolution) -> Wholes:
+        """Which limits in the network, behind a program's rows, have a price in its solution."""
+        return np.flatnonzero(linear.row_dual[len(program.lower) :])
 
     def least_cost(self, units_min: float) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP."""
@@ -389,9 +350,8 @@ class NetworkMaster:
         shares = self._until_carried(self.network.loaded(program), deadline)
         if shares.status != Status.OPTIMAL:
             return -np.inf
-        kept = self._priced(shares)
-        kept[:before] = True
-        if len(kept) > before:
+        if self.network.limits > before:
+            kept = np.union1d(np.arange(before), self._priced(program, shares))
             self.network.found = [Rows.joined(self.network.found).part(kept)]
         return shares.value
 
@@ -410,22 +370,11 @@ class NetworkMaster:
         With the set its rules are met, and what it draws is known. ``charges`` says which
         batteries charge where they waste energy, (W, B), if that is known.
         """
-        last = self._dispatched
-        if last is not None and charges is None and (last[0] == served).all():
-            return last[1:]
         if self.data.switching is None:
             way = CheapestDispatch(self.site, self.data, self.network)
         else:
             way = CheapestDispatch.of_set(self.cache, self.data, served)
-        outcome, dispatch = way.of(served, deadline, charges)
-        if outcome.status == Status.OPTIMAL:
-            self._dispatched = served, outcome, dispatch
-        return outcome, dispatch
-
-    def _has_dispatch(self, best: Floats) -> bool:
-        """Whether a set has a dispatch by shares within the discs, which is kept."""
-        served = best.reshape(self.model.at("x_served").shape) > 0.5
-        return self.cheapest(served, self.deadline)[0].status == Status.OPTIMAL
+        return way.of(served, deadline, charges)
 
     def _until_carried(
         self,

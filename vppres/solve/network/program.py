@@ -29,11 +29,6 @@ DISC = 2e-3
 where few discs bind, and sharper ones take several times as many rounds."""
 
 
-FINER_DISC = 1e-4
-"""The same where a set or its terms are decided, between a bound and a dispatch: trades rounds for
-sets that have no dispatch."""
-
-
 SETTLED = 1e-3
 """By how much a relaxation of a large window must still change for its limits to be looked for on:
 most of the rounds add a handful of tangents that change nothing."""
