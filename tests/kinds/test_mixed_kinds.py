@@ -69,10 +69,8 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
         now = {**data.ahead.by_kind, "chargers": replace(plugged, known=told)}
         data = replace(data, ahead=KindsAhead(now))
     state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
-    if state is not None:
-        rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
-        data = replace(data, switching=None if rules.idle else rules)
-    return day, data
+    rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
+    return day, replace(data, switching=None if rules.idle else rules)
 
 
 @pytest.mark.monolith

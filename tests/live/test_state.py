@@ -224,7 +224,7 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("change", "text"), [
-    ({"version": 99}, "state, version = 99: has another layout than this version's, 6. Go on"),
+    ({"version": 99}, "state, version = 99: has another layout than this version's, 7. Go on"),
     ({"kind": "a poem"}, "state: is not the state of a controller."),
     ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
     (None, "state: is not the state of a controller."),
@@ -249,19 +249,38 @@ def test_a_state_of_another_site_or_controller_is_refused(tiny: Scenario) -> Non
     assert Controller.of(tiny, replace(options, horizon_h=2.0), state=state).state() == state
 
 
-def as_in_version_4(state: Any) -> Any:
-    """A state as the version before wrote it, in which nothing said which lines are out."""
-    if isinstance(state, list):
-        return [as_in_version_4(each) for each in state]
-    if not isinstance(state, dict):
-        return state
-    old = {name: as_in_version_4(each) for name, each in state.items()}
-    old |= dict.fromkeys({"lines_out"} & old.keys())
-    if isinstance(old.get("out"), dict):
-        old["out"] = None
-    if "digest" not in old:
+def as_in_version_6(state: dict[str, Any]) -> dict[str, Any]:
+    """As an earlier version wrote it of a site without rules: no table where nothing matters."""
+
+    def older(old: dict[str, Any]) -> dict[str, Any]:
+        if "owed" not in old:
+            return old
+        owed = None if isinstance(old["owed"]["kw"], dict) else old["owed"]  # no rows
+        limited = any(each != "inf" for each in old["switching"]["longest_off_h"])
+        return {**old, "owed": owed, "switching": old["switching"] if limited else None}
+
+    return signed({**everywhere(state, older), "version": 6})
+
+
+def as_in_version_4(state: dict[str, Any]) -> dict[str, Any]:
+    """As an earlier version wrote it, in which nothing said which lines are out."""
+
+    def older(old: dict[str, Any]) -> dict[str, Any]:
+        old = old | dict.fromkeys({"lines_out"} & old.keys())
+        if isinstance(old.get("out"), dict):
+            old["out"] = None
         return {name: each for name, each in old.items() if name != "faults"}
-    return signed({**old, "version": 4})
+
+    return signed({**everywhere(as_in_version_6(state), older), "version": 4})
+
+
+def everywhere(value: Any, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
+    """A plain value of which every dictionary is changed."""
+    if isinstance(value, list):
+        return [everywhere(each, changed) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return changed({name: everywhere(each, changed) for name, each in value.items()})
 
 
 def signed(state: dict[str, Any]) -> dict[str, Any]:
@@ -286,7 +305,7 @@ def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
     return signed(old)
 
 
-@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4])
+@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4, as_in_version_6])
 def test_a_state_of_a_version_before_is_gone_on_from(earlier: Callable[[Any], Any]) -> None:
     day = load_scenario("village-hot-week").between(80, 86)
     soc = {str(name): 0.5 for name in day.batteries.id}
@@ -299,6 +318,16 @@ def test_a_state_of_a_version_before_is_gone_on_from(earlier: Callable[[Any], An
     again = Controller.of(day, options, state=old)
     for time in day.grid.times[2:4]:
         assert same(again.step(Measurement(time, soc)), controller.step(Measurement(time, soc)))
+
+
+def test_a_state_without_tables_of_what_does_not_matter_is_gone_on_from(tiny: Scenario) -> None:
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    controller = Controller.of(tiny, options)
+    first, second = (Measurement(time, {"big": 0.5, "small": 0.5}) for time in tiny.grid.times[:2])
+    controller.step(first)
+    old = as_in_version_6(json.loads(json.dumps(controller.state())))
+    assert old["now"]["past"]["switching"] is old["now"]["past"]["owed"] is None
+    assert same(Controller.of(tiny, options, state=old).step(second), controller.step(second))
 
 
 def test_plain_values_come_back_to_the_bit() -> None:
