@@ -37,7 +37,7 @@ def solve_with_limits(
     rules = data.switching
     assert rules is not None
     deadline = Deadline(limits.time_s)
-    freed = replace(rules, longest_off=rules.longest_off.of_nobody())
+    freed = replace(rules, longest_off=rules.longest_off.without_customers())
     relaxed = replace(data, switching=None if freed.idle else freed)
     try:
         free = without(relaxed, limits.at_most(HALF * limits.time_s))

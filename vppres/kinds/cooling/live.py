@@ -105,7 +105,9 @@ class Felt:
         climate.state = self.reckoned_c
         felt = self
         for t in steps:
-            climate.advance(t, climate.thermostat_kw(t, day.thermal_loads.held_c, served))
+            climate.state = climate.after_c(
+                t, climate.thermostat_kw(t, day.thermal_loads.held_c, served)
+            )
             felt = felt.moved_to(climate.state)
         return felt
 
@@ -194,7 +196,12 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, rooms: Rooms, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+    window: Scenario,
+    rooms: Rooms,
+    connected: Flags,
+    taken_kw: Floats,
+    running: Flags,
+    times: pd.DatetimeIndex,
 ) -> dict[str, pd.DataFrame]:
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]

@@ -33,7 +33,7 @@ class LongestOff:
 
     @classmethod
     def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff:
-        """The limits of the window that begins now, without prices; of nobody if none matters.
+        """The limits of the window that begins now, without prices; none if they ask nothing.
 
         ``longest_h`` is how long each may be off at a time, infinite for any time, ``off_h`` how
         long each has been, (C,) each. Off for one hour of two, the second step is the first beyond.
@@ -46,12 +46,12 @@ class LongestOff:
         before = np.round(off_h[customer] / dt_h).astype(int)
         asked = before + np.arange(n_steps)[:, None] >= steps
         found = cls(customer, np.minimum(steps, n_steps), asked, np.zeros(len(customer)))
-        return found if asked.any() else found.of_nobody()
+        return found if asked.any() else found.without_customers()
 
     def __len__(self) -> int:
         return len(self.customer)
 
-    def of_nobody(self) -> LongestOff:
+    def without_customers(self) -> LongestOff:
         """Limits of no customer."""
         return LongestOff(self.customer[:0], self.steps[:0], self.asked[:, :0], self.price[:0])
 
@@ -75,7 +75,7 @@ class LongestOff:
         first, stop, _ = steps.indices(len(self.asked))
         asked = self.asked[steps]
         found = replace(self, steps=np.minimum(self.steps, stop), asked=asked)
-        return found if first == 0 and asked.any() else found.of_nobody()
+        return found if first == 0 and asked.any() else found.without_customers()
 
 
 def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
