@@ -20,7 +20,7 @@ from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.kinds.customer.data import SwitchingRules
-from vppres.kinds.customer.physics import SwitchingState
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -363,7 +363,8 @@ def hard_window(kind: str, seed: int) -> HardWindow:
     b = scenario.batteries
     soc = b.soc_min + (b.soc_max - b.soc_min) * rng.uniform(0.0, 1.0, len(b))
     forecast = Forecaster(scenario, day.errors, seed).at(t0, range(t0, t0 + steps))
-    seen = Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, None, _past(rng, scenario))
+    past, owed = _past(rng, scenario), Owed.of(scenario.customers, scenario.grid.dt_h)
+    seen = Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, past, owed)
     site = Site.of(scenario)
     data = WindowData.of(seen, site, "lossless")
     if scenario.controller.mode == "physical":
@@ -372,14 +373,14 @@ def hard_window(kind: str, seed: int) -> HardWindow:
     return HardWindow(day, t0, steps, site, data)
 
 
-def _past(rng: Generator, scenario: Scenario) -> SwitchingState | None:
-    """Who was served before, since when and after how many actions; None without rules."""
+def _past(rng: Generator, scenario: Scenario) -> SwitchingState:
+    """Who was served before, since when and after how many actions."""
+    count, dt_h = len(scenario.customers), scenario.grid.dt_h
     if not scenario.switching.active:
-        return None
-    count = len(scenario.customers)
-    dt_h = scenario.grid.dt_h
+        return SwitchingState.start(scenario.switching, dt_h, count)
     served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
     untouched = served & (rng.random(count) < 0.5)
     since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
     actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
-    return SwitchingState(scenario.switching, dt_h, served, since_h, actions.astype(float))
+    anytime = np.full(count, np.inf)
+    return SwitchingState(scenario.switching, dt_h, served, since_h, actions.astype(float), anytime)

@@ -15,6 +15,8 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.core.errors import InputError, Problem
 from vppres.io import find_scenario, read_scenario
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
@@ -169,6 +171,8 @@ def window_data(instance: Instance) -> WindowData:
         np.clip(soc, b.soc_min, b.soc_max),
         b.eta_charge,
         b.eta_discharge,
+        SwitchingState.of(SwitchingRules(), day.customers, day.grid.dt_h),
+        Owed.of(day.customers, day.grid.dt_h),
         point,
     )
     return WindowData.of(seen, Site.of(day), "lossless")

@@ -11,7 +11,7 @@ from numpy.random import Generator
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.customer.data import SwitchingRules
-from vppres.kinds.customer.physics import SwitchingState
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.parts import Parts
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -85,6 +85,7 @@ def random_window(seed: int, stressed: bool = False) -> Window:
             eta_charge=b.eta_charge * rng.uniform(0.9, 1.0, len(b)),
             eta_discharge=b.eta_discharge * rng.uniform(0.9, 1.0, len(b)),
             delta_pu2=np.tile(offset, (steps, 1)),
+            owed=Owed.of(scenario.customers, scenario.grid.dt_h),
             parts=Parts.one(scenario.network, len(b), steps),
         ),
     )
@@ -120,7 +121,8 @@ def random_state(seed: int, scenario: Scenario) -> SwitchingState:
     untouched = served & (rng.random(count) < 0.5)
     since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
     actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
-    return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float))
+    anytime = np.full(count, np.inf)
+    return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float), anytime)
 
 
 def _names(letter: str, numbers: Iterable[int]) -> Names:

@@ -23,6 +23,7 @@ from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
 from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
+from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
 from vppres.model.parts import Parts
 from vppres.model.site import Site
@@ -107,6 +108,7 @@ def windows_of(case: Case, day: Scenario) -> list[WindowData]:
                 b.eta_charge,
                 b.eta_discharge,
                 delta,
+                owed=Owed.of(day.customers, day.grid.dt_h),
                 parts=Parts.one(day.network, len(b), steps),
             )
         )

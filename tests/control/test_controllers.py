@@ -10,6 +10,7 @@ import pytest
 from benchmarks.random_feeders import random_scenario
 from tests.support.refusals import refusal
 from tests.support.set_points import decision
+from tests.support.small_windows import observed
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import Forecast, ForecastErrors
@@ -148,7 +149,8 @@ def actual(scenario: Scenario, t: int, soc: float = 0.5, eta: float = 0.95) -> O
         scenario.temperature_c[rows],
         out=scenario.out_of_service(range(t, t + 1)),
     )
-    return Observation(t, forecast, np.full(count, soc), np.full(count, eta), np.full(count, eta))
+    seen = observed(scenario, t, forecast, np.full(count, soc))
+    return replace(seen, eta_charge=np.full(count, eta), eta_discharge=np.full(count, eta))
 
 
 # In step 4 the hospital and the homes take 66 + 49 kW and the roofs give 24 + 16.

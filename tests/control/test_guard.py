@@ -18,7 +18,7 @@ from tests.support.made_up_runs import small_scenario
 from tests.support.quiet_days import changed_by_the_guard, difference
 from tests.support.set_points import decision
 from tests.support.sets import gensets
-from tests.support.small_windows import first_step, two_buses
+from tests.support.small_windows import first_step, observed, two_buses
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
@@ -37,6 +37,7 @@ from vppres.core.errors import InfeasibleError, LimitError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
+from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
 from vppres.model.parts import Parts
 from vppres.model.site import Site
@@ -72,6 +73,7 @@ def window_of(state: StepState) -> WindowData:
         state.eta_charge,
         state.eta_discharge,
         state.offset_pu2[None],
+        owed=Owed.of(state.site.customers, state.site.dt_h),
         parts=Parts.one(state.site.network, len(state.soc), 1),
     )
 
@@ -135,12 +137,9 @@ def test_best_subset_is_the_best(weights: list[float], seed: int, share: float) 
 
 def step(scenario: Scenario, t: int, soc: float = 0.5) -> StepState:
     """A step of a day with every battery at a state of charge."""
-    b = scenario.batteries
     forecast = Forecaster(scenario, ForecastErrors(), 0).at(t, range(t, t + 1))
-    return StepState.of(
-        Site.of(scenario),
-        Observation(t, forecast, np.full(len(b), soc), b.eta_charge, b.eta_discharge),
-    )
+    seen = observed(scenario, t, forecast, np.full(len(scenario.batteries), soc))
+    return StepState.of(Site.of(scenario), seen)
 
 
 def test_rule_in_an_island_by_hand() -> None:

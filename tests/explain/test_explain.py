@@ -24,6 +24,7 @@ from vppres.explain.prices import day_prices, step_prices
 from vppres.explain.recorded import Recorded
 from vppres.explain.step import DRIVERS, Driver
 from vppres.explain.words import figure, hours
+from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
 from vppres.model.parts import Parts
 from vppres.model.site import Site
@@ -96,6 +97,7 @@ def window(day: Scenario) -> WindowData:
         b.eta_charge,
         b.eta_discharge,
         np.zeros((day.grid.n_steps, day.network.n_lines)),
+        owed=Owed.of(day.customers, day.grid.dt_h),
         parts=Parts.one(day.network, len(b), day.grid.n_steps),
     )
 

@@ -116,7 +116,7 @@ def test_a_tank_lasts_for_known_hours(
         on, given_kw = engines.possible(done, np.array([True]), np.array([power_kw]))
         if not on[0] or given_kw[0] < power_kw - 1e-6:
             break
-        engines.advance(done, -given_kw, on)
+        engines.state = engines.after(done, on, given_kw)
         done += 1
     assert done * 0.01 == pytest.approx(hours, abs=0.011)
 
@@ -162,7 +162,8 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     for t in range(40):
         wanted = rng.random(len(sets)) < 0.7
         wish_kw = sets.p_max_kw * rng.uniform(0.0, 1.2, len(sets))
-        engines.advance(t, *engines.follow(t, -wish_kw, wanted, np.ones(1, dtype=bool)))
+        served = np.ones(1, dtype=bool)
+        engines.advance(t, *engines.follow(t, -wish_kw, wanted, served), served)
         state = engines.state
         on.append(state.on)
         power_kw.append(state.power_kw)

@@ -57,7 +57,6 @@ def with_limits(day: Scenario, data: WindowData, state: SwitchingState) -> Windo
 def state_of(day: Scenario, off_h: Sequence[float]) -> SwitchingState:
     """Customers that have been off for some hours, on supply for 0."""
     start = SwitchingState.of(SwitchingRules(), day.customers, day.grid.dt_h)
-    assert start is not None
     off = np.array(off_h)
     return replace(start, served=off == 0.0, since_h=np.where(off > 0.0, off, NEVER))
 
@@ -88,10 +87,7 @@ def test_limit_is_kept_or_broken_by_the_least(
 ) -> None:
     """Two customers of 10 kW and the weights 1 and 0.5: an hour beyond costs 2 x 0.5."""
     day = dark_hours([10.0, 10.0], [1.0, 0.5], energy_kwh, [np.nan, longest_h])
-    start = SwitchingState.of(SwitchingRules(), day.customers, 1.0)
-    data = window(day)
-    if start is not None:
-        data = with_limits(day, data, state_of(day, [0.0, off_h]))
+    data = with_limits(day, window(day), state_of(day, [0.0, off_h]))
     answer = WindowSolver(Site.of(day), method).solve(data)
     assert tuple(answer.dispatch.served.sum(axis=0)) == hours_on
     assert answer.terms.f6 == pytest.approx(1.0 * beyond)
@@ -260,7 +256,7 @@ def test_since_when_a_customer_is_off_survives_a_restart() -> None:
 
 def test_without_limits_nothing_is_added() -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
-    assert SwitchingState.of(SwitchingRules(), day.customers, 1.0) is None
+    assert not SwitchingState.of(SwitchingRules(), day.customers, 1.0).matters
     assert beyond_paper(Site.of(day), window(day)) == ()
     assert Site.of(day).hour_off.tolist() == [1.0]
 

@@ -13,10 +13,11 @@ from benchmarks.random_feeders import random_window
 from tests.support.agreement import both_methods
 from tests.support.builders import known, solved
 from tests.support.carried_out import carried_out
-from tests.support.homes import homes, with_random_homes
-from tests.support.sets import gensets, random_sets
+from tests.support.homes import homes
+from tests.support.kinds import EXAMPLES
+from tests.support.sets import gensets
 from tests.support.small_windows import two_buses
-from tests.support.vans import chargers, plugged_in, with_random_vehicles
+from tests.support.vans import chargers, plugged_in
 from vppres import (
     Controller,
     Measurement,
@@ -31,7 +32,6 @@ from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.cross_check import cross_check
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import SwitchingState
-from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
@@ -39,24 +39,21 @@ from vppres.report.plots.figures import import_load_pv, indoor
 from vppres.scenario.scenario import Scenario
 
 OFTEN = 0.7
-"""Share of windows that have a kind; most have three or more of the five."""
+"""Share of windows that have a kind or a rule; most have three or more of the five."""
 
 
 def mixed(seed: int) -> tuple[Scenario, WindowData]:
-    """A window with vehicles, rooms, sets, dimmed customers, longest times off, or not, of each.
+    """A window with each kind, dimmed customers and longest times off, or not.
 
-    Half of the vehicles that are yet to come are expected and not known.
+    Some units that are yet to come are expected and not known.
     """
     day, data = random_window(seed, stressed=seed % 2 > 0)
     rng = np.random.default_rng([seed, 51])
-    vehicles, rooms, sets, dimmed, limited = rng.random(5) < OFTEN
+    dimmed, limited = rng.random(2) < OFTEN
     count, dt_h = len(day.customers), day.grid.dt_h
-    if vehicles:
-        day = with_random_vehicles(day, seed)
-    if rooms:
-        day = with_random_homes(day, rng)
-    if sets:
-        day = replace(day, gensets=random_sets(rng, day))
+    for it in EXAMPLES.values():
+        if rng.random() < OFTEN:
+            day = it.draw(day, seed)
     if dimmed:
         share_min = np.where(rng.random(count) < 0.5, rng.choice([0.1, 0.3, 0.7], count), 1.0)
         day = replace(day, customers=replace(day.customers, share_min=share_min))
@@ -64,15 +61,11 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
         longest_h = np.where(rng.random(count) < 0.6, dt_h * rng.integers(0, 3, count), np.nan)
         day = replace(day, customers=replace(day.customers, max_off_h=longest_h))
     data = known(day, data)
-    if plugged := data.ahead.find(Plugged):
-        told = plugged.here & (plugged.here[0] | (rng.random(len(day.chargers)) < 0.5))
-        now = {**data.ahead.by_kind, "chargers": replace(plugged, known=told)}
-        data = replace(data, ahead=KindsAhead(now))
+    ahead = {kind: EXAMPLES[kind].expected(of, rng) for kind, of in data.ahead.by_kind.items()}
+    data = replace(data, ahead=KindsAhead(ahead))
     state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
-    if state is not None:
-        rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
-        data = replace(data, switching=None if rules.idle else rules)
-    return day, data
+    rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
+    return day, replace(data, switching=None if rules.idle else rules)
 
 
 @pytest.mark.monolith

@@ -37,7 +37,7 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer import rows as switching_rules
 from vppres.kinds.customer.data import RuleSteps, SwitchingRules
-from vppres.kinds.customer.physics import SwitchingData, SwitchingState
+from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData, SwitchingState
 from vppres.kinds.customer.rows import SwitchingModel
 from vppres.model.site import Site
 from vppres.model.statement import Statement
@@ -64,6 +64,7 @@ def state_of(
         np.array(served),
         np.array(since_h, dtype=float),
         np.array(actions or [0] * len(served), dtype=float),
+        np.full(len(served), np.inf),
     )
 
 
@@ -223,6 +224,7 @@ def test_minimum_times_count_in_steps_of_any_length() -> None:
         np.array([True]),
         np.array([0.25]),
         np.zeros(1),
+        np.array([np.inf]),
     )
     data = state.window(4)
     assert data.steps == RuleSteps(served=3, unserved=1, cold=0)
@@ -244,7 +246,8 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
         day.temperature_c,
         out=day.out_of_service(range(day.grid.n_steps)),
     )
-    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
+    owed = Owed.of(day.customers, day.grid.dt_h)
+    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, state, owed)
 
 
 @pytest.mark.parametrize(("rules", "idle"), [
@@ -292,7 +295,7 @@ def test_duty_is_let_go_only_where_it_cannot_be_met(
 def test_infeasible_window_without_rules_stays_so() -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
     day = replace(day, network=replace(day.network, v_slack_pu=0.94))
-    observation = replace(seen(day, state_of(SwitchingRules(), [True], [NEVER])), switching=None)
+    observation = seen(day, state_of(SwitchingRules(), [True], [NEVER]))
     with pytest.raises(InfeasibleError, match="no feasible dispatch"):
         plan_with_rules(OnePass(WindowSolver(Site.of(day))), observation)
 
@@ -464,6 +467,7 @@ def test_demand_is_higher_just_where_the_state_says_so(
         cold_factor=2.0,
         cold_before=np.repeat(np.arange(W)[:, None] < left, 3, axis=1),
         day=np.zeros(W, dtype=int),
+        longest_off=LongestOff.of(np.full(3, np.inf), np.zeros(3), 1.0, W),
     )
     x = cp.Parameter((W, 3), nonneg=True)
     model = SwitchingModel(Site.of(tiny), x, steps)

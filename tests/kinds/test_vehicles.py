@@ -173,7 +173,7 @@ def test_the_plant_is_exact_and_knows_what_chargers_cannot_do() -> None:
         assert garage.after_kwh(0, power_kw)[0] == pytest.approx(expected, abs=1e-12)
     garage = Plant(day).of(Garage)
     for t in range(13):
-        garage.advance(t, garage.possible_kw(t, np.array([7.4]), on))
+        garage.state = garage.after_kwh(t, garage.possible_kw(t, np.array([7.4]), on))
     assert garage.state == pytest.approx([60.0], abs=1e-9)  # full, and no more
     assert garage.at(13) == pytest.approx([0.0])  # gone
     assert garage.possible_kw(13, np.array([7.4]), on) == pytest.approx([0.0])

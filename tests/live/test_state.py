@@ -249,40 +249,61 @@ def test_a_state_of_another_site_or_controller_is_refused(tiny: Scenario) -> Non
     assert Controller.of(tiny, replace(options, horizon_h=2.0), state=state).state() == state
 
 
-def as_in_version_4(state: Any) -> Any:
-    """A state as the version before wrote it, in which nothing said which lines are out."""
-    if isinstance(state, list):
-        return [as_in_version_4(each) for each in state]
-    if not isinstance(state, dict):
-        return state
-    old = {name: as_in_version_4(each) for name, each in state.items()}
-    old |= dict.fromkeys({"lines_out"} & old.keys())
-    if isinstance(old.get("out"), dict):
-        old["out"] = None
-    if "digest" not in old:
-        return {name: each for name, each in old.items() if name != "faults"}
-    return signed({**old, "version": 4})
-
-
 def as_in_version_6(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
-    """As the version before wrote it: vehicles and rooms as they are after their step."""
-    for moment in (state["now"], state["before"]):
-        kinds = moment["past"]["kinds"]
-        for kind, later in (("chargers", "end_kwh"), ("thermal_loads", "rests_at_c")):
-            one = kinds.get(kind)
-            if one is None:
-                continue
-            del one["at_h"]
-            after = one.pop(later)
-            if kind == "chargers":
-                one["kwh"] = after
-                continue
-            kept = np.exp(-day.grid.dt_h / day.thermal_loads.time_constant_h)
-            rests_c, t_c = np.array(after), np.array(one["reckoned_c"])
-            one["reckoned_c"] = (rests_c + (t_c - rests_c) * kept).tolist()
-            one["lowest_c"] = np.minimum(one["lowest_c"], one["reckoned_c"]).tolist()
-            one["highest_c"] = np.maximum(one["highest_c"], one["reckoned_c"]).tolist()
-    return signed({**state, "version": 6})
+    """As an earlier version wrote it, of a site without rules.
+
+    It had no table where nothing matters, and vehicles and rooms were those after their step.
+    """
+
+    def older(old: dict[str, Any]) -> dict[str, Any]:
+        if "owed" not in old:
+            return old
+        owed = None if isinstance(old["owed"]["kw"], dict) else old["owed"]  # no rows
+        limited = any(each != "inf" for each in old["switching"]["longest_off_h"])
+        return {**old, "owed": owed, "switching": old["switching"] if limited else None}
+
+    for moment in filter(None, (state["now"], state["before"])):
+        after_their_step(moment["past"]["kinds"], day)
+    return signed({**everywhere(state, older), "version": 6})
+
+
+def after_their_step(kinds: dict[str, Any], day: Scenario) -> None:
+    """Vehicles and rooms as they are after their step, in place."""
+    for kind, later in (("chargers", "end_kwh"), ("thermal_loads", "rests_at_c")):
+        one = kinds.get(kind)
+        if one is None:
+            continue
+        del one["at_h"]
+        after = one.pop(later)
+        if kind == "chargers":
+            one["kwh"] = after
+            continue
+        kept = np.exp(-day.grid.dt_h / day.thermal_loads.time_constant_h)
+        rests_c, t_c = np.array(after), np.array(one["reckoned_c"])
+        one["reckoned_c"] = (rests_c + (t_c - rests_c) * kept).tolist()
+        one["lowest_c"] = np.minimum(one["lowest_c"], one["reckoned_c"]).tolist()
+        one["highest_c"] = np.maximum(one["highest_c"], one["reckoned_c"]).tolist()
+
+
+def as_in_version_4(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
+    """As an earlier version wrote it, in which nothing said which lines are out."""
+
+    def older(old: dict[str, Any]) -> dict[str, Any]:
+        old = old | dict.fromkeys({"lines_out"} & old.keys())
+        if isinstance(old.get("out"), dict):
+            old["out"] = None
+        return {name: each for name, each in old.items() if name != "faults"}
+
+    return signed({**everywhere(as_in_version_6(state, day), older), "version": 4})
+
+
+def everywhere(value: Any, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
+    """A plain value of which every dictionary is changed."""
+    if isinstance(value, list):
+        return [everywhere(each, changed) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return changed({name: everywhere(each, changed) for name, each in value.items()})
 
 
 def signed(state: dict[str, Any]) -> dict[str, Any]:
@@ -292,9 +313,9 @@ def signed(state: dict[str, Any]) -> dict[str, Any]:
     return {**body, "digest": hashlib.sha256(text.encode()).hexdigest()}
 
 
-def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
+def as_in_version_3(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
     """As an earlier version wrote it: a field for each kind, and powers of all as one."""
-    old = {**as_in_version_4(state), "version": 3}
+    old = {**as_in_version_4(state, day), "version": 3}
     for moment in (old["now"], old["before"]):
         kinds = moment["past"].pop("kinds")
         own = {"vehicles": "chargers", "rooms": "thermal_loads", "sets": "gensets"}
@@ -307,8 +328,10 @@ def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
     return signed(old)
 
 
-@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4, lambda state: state])
-def test_a_state_of_a_version_before_is_gone_on_from(earlier: Callable[[Any], Any]) -> None:
+@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4, as_in_version_6])
+def test_a_state_of_a_version_before_is_gone_on_from(
+    earlier: Callable[[Any, Scenario], Any],
+) -> None:
     day = load_scenario("village-hot-week").between(80, 86)
     soc = {str(name): 0.5 for name in day.batteries.id}
     options = RunOptions(horizon_h=0.0, isolate=False)
@@ -316,10 +339,20 @@ def test_a_state_of_a_version_before_is_gone_on_from(earlier: Callable[[Any], An
     for time in day.grid.times[:2]:
         points = controller.step(Measurement(time, soc))
     assert points.chargers is not None and points.thermal_loads is not None
-    old = earlier(as_in_version_6(json.loads(json.dumps(controller.state())), day))
+    old = earlier(json.loads(json.dumps(controller.state())), day)
     again = Controller.of(day, options, state=old)
     for time in day.grid.times[2:4]:
         assert same(again.step(Measurement(time, soc)), controller.step(Measurement(time, soc)))
+
+
+def test_a_state_without_tables_of_what_does_not_matter_is_gone_on_from(tiny: Scenario) -> None:
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    controller = Controller.of(tiny, options)
+    first, second = (Measurement(time, {"big": 0.5, "small": 0.5}) for time in tiny.grid.times[:2])
+    controller.step(first)
+    old = as_in_version_6(json.loads(json.dumps(controller.state())), tiny)
+    assert old["now"]["past"]["switching"] is old["now"]["past"]["owed"] is None
+    assert same(Controller.of(tiny, options, state=old).step(second), controller.step(second))
 
 
 def test_plain_values_come_back_to_the_bit() -> None:

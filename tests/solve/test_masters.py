@@ -19,6 +19,7 @@ from tests.support.injections import columns_of
 from tests.support.programs import knapsack
 from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
+from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, objective_scale
 from vppres.model.parts import Parts
@@ -122,6 +123,7 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
         b.eta_charge,
         b.eta_discharge,
         np.zeros((steps, day.network.n_lines)),
+        owed=Owed.of(day.customers, day.grid.dt_h),
         parts=Parts.one(day.network, len(b), steps),
     )
 

@@ -18,7 +18,7 @@ from experiments.studies.islands import claims_of, imbalance_kw, random_day
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.refusals import refusal
-from tests.support.small_windows import CHECKER_TOLERANCE, window
+from tests.support.small_windows import CHECKER_TOLERANCE, observed, window
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
@@ -393,13 +393,8 @@ def test_window_without_answer_is_tried_again_and_says_so(
         return solve(data, within_s)
 
     monkeypatch.setattr(solver, "solve", failing)
-    seen = Observation(
-        2,
-        Forecaster(tiny, ForecastErrors(), 0).at(2, range(2, 5)),
-        np.full(2, 0.5),
-        tiny.batteries.eta_charge,
-        tiny.batteries.eta_discharge,
-    )
+    forecast = Forecaster(tiny, ForecastErrors(), 0).at(2, range(2, 5))
+    seen = observed(tiny, 2, forecast, np.full(2, 0.5))
     answer = ConvergedPlanner(solver).plan(seen)
     assert ([s for s in answer.stages if s in ("nudged", "lossless")] or [""]) == [mark]
     assert np.ptp([w.soc[0] for w in windows]) == pytest.approx(0.0 if not mark else SOC_NUDGE)
@@ -424,14 +419,8 @@ def lossy_day(tiny: Scenario) -> tuple[Scenario, Observation]:
             tiny.batteries, p_max_kw=np.array([90.0, 1.0]), s_max_kva=np.array([120.0, 1.0])
         ),
     )
-    seen = Observation(
-        3,
-        Forecaster(day, ForecastErrors(), 0).at(3, range(3, 4)),
-        np.array([0.85, 0.15]),
-        day.batteries.eta_charge,
-        day.batteries.eta_discharge,
-    )
-    return day, seen
+    forecast = Forecaster(day, ForecastErrors(), 0).at(3, range(3, 4))
+    return day, observed(day, 3, forecast, np.array([0.85, 0.15]))
 
 
 @pytest.mark.parametrize("stored", [0.3, pytest.param(0.8, marks=pytest.mark.nightly)])
@@ -441,7 +430,7 @@ def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: floa
     day, b = hard.scenario, hard.scenario.batteries
     forecast = Forecaster(day, hard.errors, 7203).at(10, range(10, 16))
     soc = b.soc_min + stored * (b.soc_max - b.soc_min)
-    seen = Observation(10, forecast, soc, b.eta_charge, b.eta_discharge)
+    seen = observed(day, 10, forecast, soc)
     planner = ConvergedPlanner(WindowSolver(Site.of(day)))
     plan = planner.plan(seen)
     assert plan.status == Status.OPTIMAL

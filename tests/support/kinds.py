@@ -17,6 +17,7 @@ from vppres import RunOptions
 from vppres.core.arrays import Floats
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.gensets.data import Refuels
+from vppres.kinds.vehicles.physics import Plugged
 from vppres.scenario.scenario import Scenario
 
 
@@ -46,10 +47,18 @@ class Example:
     # A file, what is replaced in it and by what (a row is added where nothing is), the message.
     mistakes: Sequence[tuple[str, str, str, str]]
     refused: Sequence[tuple[Scenario, RunOptions, str]]  # a day, options, the message
+    # A window in which some units that are yet to come are expected and not known.
+    expected: Callable[[Any, np.random.Generator], Any] = lambda ahead, _: ahead
 
 
 IDLE = RunOptions(controller="idle", isolate=False)
 COLD = RunOptions(isolate=False, switching=SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0))
+
+
+def _not_told(plugged: Plugged, rng: np.random.Generator) -> Plugged:
+    """The window with half of the vehicles that are yet to come expected."""
+    told = rng.random(plugged.here.shape[1]) < 0.5
+    return replace(plugged, known=plugged.here & (plugged.here[0] | told))
 
 
 def _in_parts(day: Scenario) -> Scenario:
@@ -220,6 +229,7 @@ def _vehicles() -> Example:
         kind="chargers",
         day=day,
         draw=with_random_vehicles,
+        expected=_not_told,
         stored=lambda plugged, day, taken_kw, running: plugged.energy_kwh(
             taken_kw, day.chargers, day.grid.dt_h
         ),

@@ -9,7 +9,12 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.usual_battery import USUAL_BATTERY
+from vppres.contract.forecast import Forecast
+from vppres.contract.observation import Observation
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.export.physics import Export
 from vppres.model.data import WindowData
 from vppres.model.parts import Parts
@@ -101,8 +106,17 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
         b.eta_discharge,
         np.zeros((n_steps, scenario.network.n_lines)),
         export=Export.of(scenario, steps),
+        owed=Owed.of(scenario.customers, scenario.grid.dt_h),
         parts=Parts.one(scenario.network, len(b), n_steps),
     )
+
+
+def observed(day: Scenario, t0: int, forecast: Forecast, soc: Floats) -> Observation:
+    """Observation of a step of customers who were all supplied for long."""
+    b, dt_h = day.batteries, day.grid.dt_h
+    free = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
+    owed = Owed.of(day.customers, dt_h)
+    return Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, free, owed)
 
 
 def first_step(scenario: Scenario, data: WindowData) -> StepState:
@@ -118,4 +132,5 @@ def first_step(scenario: Scenario, data: WindowData) -> StepState:
         data.delta_pu2[0],
         np.ones(len(data.soc), dtype=bool),
         parts=data.parts.steps(slice(1)),
+        due=np.zeros(len(scenario.customers), dtype=bool),
     )

@@ -12,7 +12,6 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingData, SwitchingState
 
 
@@ -42,9 +41,9 @@ class Observation:
     soc: Floats
     eta_charge: Floats
     eta_discharge: Floats
+    switching: SwitchingState  #: switching rules and what was really served so far
+    owed: Owed  #: what dimmed customers may still catch up
     operating_point: OperatingPoint | None = None  #: last AC operating point, None before the first
-    #: Switching rules and what was really served so far; None without rules.
-    switching: SwitchingState | None = None
     moves: Moves | None = None  #: the plan before, where the controller is to stay near it
     #: Measured charging power of the step before, negative where discharged, (B,).
     battery_kw: Floats | None = None
@@ -77,7 +76,6 @@ class Observation:
     soc_age_h: Floats | None = None  #: how old the state of charge is, (B,); of now if not given
     #: Set-points of batteries since the last decision, where these differ from it.
     told: tuple[Told, ...] = ()
-    owed: Owed | None = None  #: what dimmed customers may still catch up; None if none does
     #: Vehicles, rooms and generating sets over the window; none if not given.
     ahead: KindsAhead = field(default_factory=KindsAhead)
     #: Measured power of vehicles, machines that cool or heat and generating sets together in the
@@ -118,12 +116,7 @@ class Observation:
 
         Steps that only such rules would join are solved one by one.
         """
-        state = self.switching
-        if self.kept_on is not None:  # duties alone: how long a step is says nothing
-            state = state or SwitchingState.start(SwitchingRules(), 1.0, self.kept_on.shape[1])
-        if state is None:
-            return None
-        rules = state.window(len(self.window.price_gbp_per_kwh))
+        rules = self.switching.window(len(self.window.price_gbp_per_kwh))
         if self.kept_on is not None:
             rules = rules.keeping(self.kept_on)
         return None if rules.idle else rules

@@ -53,12 +53,12 @@ def plan_with_rules(
     try:
         return planner.plan(observation, n_steps), False
     except InfeasibleError:
-        rules, ahead = observation.switching, observation.ahead
-        if rules is None and not ahead.switched:
+        past, ahead = observation.switching, observation.ahead
+        if not past.matters and not ahead.switched:
             raise
         freed = replace(
             observation,
-            switching=rules and replace(rules, duties=False),
+            switching=replace(past, duties=False),
             ahead=ahead.without_duties(),
         )
         return planner.plan(freed, n_steps), True

@@ -49,14 +49,14 @@ class StepState:
     own_v_pu : array, shape (k, N), optional
         Voltages that the feeder has without control, where limits give way to them; none if not
         given.
-    due : array of bool, shape (C,), optional
-        Customers whose longest time off has ended; None where none has one.
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets; none if not given.
     dark : bool, optional
         Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
     parts : Parts
         Parts into which lines that are out cut the feeder, one step.
+    due : array of bool, shape (C,)
+        Customers whose longest time off has ended.
     inside : array of bool, shape (N,), optional
         Buses of the part that it is the step of; all if not given.
     taken_kw, running : dict
@@ -75,10 +75,10 @@ class StepState:
     export_limit_kw: float = 0.0
     drawn: Drawn | None = None
     own_v_pu: Floats = field(default_factory=lambda: np.empty((0, 1)))
-    due: Flags | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
     dark: bool = False
     parts: Parts = field(kw_only=True)
+    due: Flags = field(kw_only=True)
     inside: Flags | None = None
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
@@ -118,18 +118,16 @@ class StepState:
             seen.forecast.export_now_kw,
             now.drawn,
             own_v_pu,
-            None if seen.switching is None else seen.switching.due,
             now.ahead,
             parts=parts,
+            due=seen.switching.due,
         )
 
     @property
     def worth(self) -> Floats:
         """Worth of serving each customer in the step, per hour, (C,)."""
-        weight = self.site.customers.weight
-        return (
-            weight if self.due is None else weight + np.where(self.due, self.site.hour_beyond, 0.0)
-        )
+        beyond = np.where(self.due, self.site.hour_beyond, 0.0)
+        return np.asarray(self.site.customers.weight + beyond)
 
     @property
     def formers(self) -> dict[str, Flags]:

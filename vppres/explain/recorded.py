@@ -27,7 +27,7 @@ from vppres.day.priority import site_of, weighed
 from vppres.day.recorder import OFF_BY_FAULT
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
-from vppres.kinds.customer.physics import Owed
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
@@ -133,15 +133,12 @@ class Recorded:
         return past_days_of(self.scenario, int(self.options["seed"]))
 
     @cached_property
-    def _owed(self) -> list[Owed | None]:
+    def _owed(self) -> list[Owed]:
         """Demand that could still be caught up at the beginning of each step."""
-        none = Owed.of(self.site.customers, self.site.dt_h)
-        if none is None:
-            return [None] * self.n_steps
-        owed = [none]
+        owed = [Owed.of(self.site.customers, self.site.dt_h)]
         for load_kw, share in zip(self.load_kw, self.share, strict=True):
             owed.append(owed[-1].after(load_kw, share))
-        return [*owed]
+        return owed
 
     @cached_property
     def _steps(self) -> list[dict[Hashable, Any]]:
@@ -385,7 +382,8 @@ class Recorded:
             self.soc_start[t],
             self._eta_charge[t],
             self._eta_discharge[t],
-            owed=self._owed[t],
+            SwitchingState.start(SwitchingRules(), self.site.dt_h, len(self.site.customers)),
+            self._owed[t],
             ahead=self._ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends),
             ends=ends,

@@ -64,7 +64,7 @@ class RecordPart(Protocol):
         """Sentences on what was missed; none if nothing was."""
 
     def events(self, run: Any) -> Iterator[tuple[int, str]]:
-        """Number of a step, from 1, and what happened in it."""
+        """Step, from 0, at whose beginning something happened, and what; T is the end of all."""
 
     def assumption(self, run: Any) -> str:
         """Assumptions of plans, in a sentence."""
@@ -144,6 +144,7 @@ class LivePart(Protocol):
         self,
         window: Any,
         ahead: UnitsAhead,
+        connected: Flags,
         taken_kw: Floats,
         running: Flags,
         times: pd.DatetimeIndex,

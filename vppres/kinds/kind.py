@@ -272,7 +272,9 @@ class UnitsAhead(ByStep):
         """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
-    def stored_beyond_kw(self, units: Any, taken_kw: Floats, running: Flags, dt_h: float) -> Floats:
+    def stored_beyond_kw(
+        self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
         """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
         return np.zeros_like(taken_kw)
 
@@ -299,8 +301,8 @@ class Followers(Protocol):
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
         """Power that each can give less without stopping, (n,)."""
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
-        """The state at the end of a step."""
+    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
+        """The state at the end of a step in which these customers were served."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,8 @@ def _of_kinds(
         units = getattr(window, kind)
         taken_kw = plan.taken_by(kind, units)[decision.row :]
         running = plan.running_of(kind, units)[decision.row :]
+        on = units.connected(window.customers, plan.served[decision.row :])
+        later = times[: len(taken_kw) - 1]
         ahead = of.part(slice(len(taken_kw)))
-        found |= live[kind].foreseen(window, ahead, taken_kw, running, times[: len(taken_kw) - 1])
+        found |= live[kind].foreseen(window, ahead, on, taken_kw, running, later)
     return found

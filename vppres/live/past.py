@@ -31,20 +31,20 @@ class Past:
 
     ``t`` counts from the controller's first step, -1 before it. ``voltages`` are solutions by the
     position of the source's bus, from which the next power flow starts. None is what no step has
-    led to yet, duties without switching rules, and measurements that no forecaster learns from.
+    led to yet, and measurements that no forecaster learns from.
     ``closed`` are lines and ties that were closed, (E,): ``operating_point`` and ``voltages`` are
     of that configuration. ``kinds`` has the units of each kind, ``PAST`` of its live part.
     """
 
     t: int
     operating_point: OperatingPoint | None
-    switching: SwitchingState | None
+    switching: SwitchingState
+    owed: Owed
     served: Flags | None
     history: History | None
     voltages: dict[int, Complexes]
     closed: Flags
     grid_seen: GridSeen = field(default_factory=GridSeen)
-    owed: Owed | None = None
     kinds: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -53,18 +53,19 @@ class Past:
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
         closed = day.branches.closed
-        return cls(-1, None, day.plant.switching, None, history, {}, closed, owed=day.plant.owed)
+        plant = day.plant
+        return cls(-1, None, plant.switching, plant.owed, None, history, {}, closed)
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""
         step = load_kw[np.newaxis], pv_kw[np.newaxis]
         return self.history and self.history.followed_by(start, *step).last_days(REMEMBERED_DAYS)
 
-    def owed_at(self, t: int) -> Owed | None:
+    def owed_at(self, t: int) -> Owed:
         """Demand that may still be caught up at a step; in steps between nothing was."""
         owed = self.owed
         for _ in range(self.t + 1, t):
-            owed = owed and owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
+            owed = owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
         return owed
 
     def within_step(self, latest: Past) -> Past:
@@ -74,12 +75,12 @@ class Past:
         """
         return replace(self, kinds=latest.kinds)
 
-    def switching_at(self, t: int) -> SwitchingState | None:
+    def switching_at(self, t: int) -> SwitchingState:
         """Switching state at a step, set-points held over those in between."""
         switching = self.switching
         if self.served is not None:
             for _ in range(self.t + 1, t):
-                switching = switching and switching.advance(self.served)
+                switching = switching.advance(self.served)
         return switching
 
     def as_plain(self, given: Given) -> dict[str, Any]:

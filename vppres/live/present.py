@@ -71,7 +71,7 @@ class Present:
     beside: Beside
     ends: bool
     past: Past
-    switching: SwitchingState | None
+    switching: SwitchingState
     kinds: dict[str, UnitsNow]
     grid_seen: GridSeen
     options: RunOptions
@@ -147,13 +147,13 @@ class Present:
             seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max),
             seen.eta_charge,
             seen.eta_discharge,
-            self.past.operating_point,
             self.switching,
+            self.past.owed_at(self.t),
+            self.past.operating_point,
             battery_kw=seen.battery_kw,
             online=seen.online,
             import_kw=seen.import_kw,
             served=self.past.served,
-            owed=self.past.owed_at(self.t),
             ahead=self._ahead(),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,

@@ -130,7 +130,7 @@ class SetPoints(SetPointsOfKinds):
         scenario: Scenario,
         step: StepRecord,
         foreseen: Foreseen,
-        after: SwitchingState | None,
+        after: SwitchingState,
         kinds: Mapping[str, UnitsNow],
         closed: Flags,
         proposal: Proposal,
@@ -143,7 +143,7 @@ class SetPoints(SetPointsOfKinds):
         """
         branches = Branches.of(scenario)
         out = scenario.out_of_service(range(1))
-        off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
+        off_h = {"off_h": after.off_h} if after.limits_time_off else {}
         return cls(
             time=scenario.grid.times[step.t],
             customers=_customers(scenario, {**step.customers, **off_h}),

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -135,14 +136,16 @@ def _restored(
 ) -> Standing:
     """Controller state from a saved one, which may still lack something."""
     _check_state(state, scenario, options)
-    if state["version"] == 3:
+    version = state["version"]
+    if version == 3:
         state = _from_version_3(state)
     if "faults" not in state["known"]:
         state = _without_faults(state, scenario.network)
-    if state["version"] < 6:
+    if version < 6:
         state = _without_switches(state, scenario, decider)
-    if state["version"] != VERSION:
+    if version < 7:
         state = _without_moments(state, scenario.grid.dt_h)
+        state = _with_empty_tables(state, start, given_by(scenario, options))
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -235,22 +238,18 @@ def _from_version_3(state: dict[str, Any]) -> dict[str, Any]:
 def _without_faults(state: dict[str, Any], network: Network) -> dict[str, Any]:
     """A state of version 4 or before, in which no line was out."""
 
-    def whole(value: Any) -> Any:
-        if isinstance(value, list):
-            return [whole(each) for each in value]
-        if not isinstance(value, dict):
-            return value
-        found = {name: whole(each) for name, each in value.items()}
+    def whole(found: dict[str, Any]) -> dict[str, Any]:
         if "p_flow_kw" in found and "q_injection_kvar" in found:  # an operating point
-            found["lines_out"] = [False] * network.n_lines
+            return found | {"lines_out": [False] * network.n_lines}
         if "temperature_c" in found and "grid_limit_kw" in found:  # a forecast
             n_steps = len(found["temperature_c"])
             out = {"lines": network.n_lines, "buses": network.n_buses}
-            found["out"] = {name: [[False] * n] * n_steps for name, n in out.items()}
+            none = {name: [[False] * n] * n_steps for name, n in out.items()}
+            return found | {"out": none}
         return found
 
     known = {**state["known"], "faults": []}
-    return {**_with_moments(state, whole), "known": known}
+    return {**_with_moments(state, partial(_everywhere, changed=whole)), "known": known}
 
 
 def _without_switches(
@@ -282,6 +281,33 @@ def _without_moments(state: dict[str, Any], dt_h: float) -> dict[str, Any]:
         return {**old, "past": {**old["past"], "kinds": kinds}}
 
     return _with_moments(state, moment)
+
+
+def _with_empty_tables(state: dict[str, Any], start: Past, given: Given) -> dict[str, Any]:
+    """A state of version 6 or before, which had no table of duties or limits where there are none.
+
+    The past of a site and a remembered observation had both tables.
+    """
+    switching, owed = (to_plain(each, given) for each in (start.switching, start.owed))
+
+    def filled(found: dict[str, Any]) -> dict[str, Any]:
+        if "switching" not in found:
+            return found
+        duties = found["switching"] or switching
+        limits = duties.get("longest_off_h") or switching["longest_off_h"]
+        duties = {**duties, "longest_off_h": limits}
+        return found | {"switching": duties, "owed": found.get("owed") or owed}
+
+    return _with_moments(state, partial(_everywhere, changed=filled))
+
+
+def _everywhere(value: Any, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
+    """A plain value of which every dictionary is changed, the inner ones first."""
+    if isinstance(value, list):
+        return [_everywhere(each, changed) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return changed({name: _everywhere(each, changed) for name, each in value.items()})
 
 
 def _with_moments(

@@ -16,7 +16,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.kinds.batteries.physics import BatteriesAhead
-from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
+from vppres.kinds.customer.physics import Owed, SwitchingData
 from vppres.kinds.export.physics import Export
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.parts import Parts, at_items, held_by_units, parts_of
@@ -132,8 +132,7 @@ class WindowData:
     #: Largest flow of each line, (W, L); None, the paper, has no ratings.
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None  #: voltages and former by phase; None for a balanced feeder
-    #: What dimmed customers may catch up from before the window; None for nothing.
-    owed: Owed | None = None
+    owed: Owed = field(kw_only=True)  #: what dimmed customers may catch up from before the window
     parts: Parts = field(kw_only=True)  #: parts into which lines that are out cut the feeder
     #: What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     unspent: Unspent | None = None
@@ -367,9 +366,9 @@ class WindowData:
         return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
 
     @property
-    def longest_off(self) -> LongestOff | None:
-        """How long customers may be off at a time, None where that says nothing."""
-        return None if self.switching is None else self.switching.longest_off
+    def limits_time_off(self) -> bool:
+        """Whether any customer may be off for so long only."""
+        return self.switching is not None and len(self.switching.longest_off) > 0
 
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""

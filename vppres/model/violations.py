@@ -286,9 +286,9 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
         units, word = site.kinds[kind], KINDS[kind].word
         on = units.connected(site.customers, d.served)
         taken_kw, running = d.taken_by(kind, units), d.running_of(kind, units)
-        plan = (taken_kw, running, site.dt_h)
-        found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(units, on, *plan))
-        found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(units, *plan))
+        plan = (units, on, taken_kw, running, site.dt_h)
+        found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(*plan))
+        found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(*plan))
         outage = at_items(data.in_island, site.unit_bus[kind])
         wrong = known.wrongly_switched(units, running, outage, site.dt_h)
         found[f"{word} switching"] = 2.0 * wrong.sum()

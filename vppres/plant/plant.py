@@ -172,14 +172,12 @@ class Plant:
 
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
-        if self.switching is not None:
-            self.switching = self.switching.advance(realised.served)
-        if self.owed is not None:
-            self.owed = self.owed.after(
-                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
-            )
+        self.switching = self.switching.advance(realised.served)
+        self.owed = self.owed.after(
+            realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
+        )
         for kind, units in self.units.items():
-            units.advance(t, realised.taken_kw[kind], realised.running[kind])
+            units.advance(t, realised.taken_kw[kind], realised.running[kind], realised.served)
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,
@@ -234,8 +232,7 @@ class Plant:
 
     def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
-        cold = 1.0 if self.switching is None else self.switching.demand_factor(served)
-        return np.asarray(self.scenario.load_kw[t] * cold)
+        return np.asarray(self.scenario.load_kw[t] * self.switching.demand_factor(served))
 
     def realise(
         self, t: int, powers: Powers, state: BatteryState, clipped_kw: float = 0.0

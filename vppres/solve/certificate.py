@@ -245,9 +245,14 @@ class Certificate:
         return max(min(self.service_bound, allowed) - self.best.service, 0.0)
 
     def cost_gap_gbp(self) -> float:
-        """How much cheaper the same service can be."""
+        """How much cheaper the same service can be.
+
+        Whatever serves as much for less than the bound on F allows would be worth more than that.
+        """
         assert self.best is not None
         bound_gbp = max(self.cost_bound_gbp, self.cost.least_gbp)
+        if self.lambda_grid > 0.0:
+            bound_gbp = max(bound_gbp, (self.best.service - self.bound) / self.lambda_grid)
         return max(self.best.terms.f2 - bound_gbp, 0.0)
 
     def status(self, objective: float, late: bool) -> Status:

@@ -234,7 +234,7 @@ class WindowSolver:
         """The best supply schedule of a window."""
         if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)
-        if data.longest_off is not None:
+        if data.limits_time_off:
             return solve_with_limits(data, limits, self._decided, self._solve)
         if falls_apart(self.site, data):
             return solve_apart(data, limits, self._solve)
@@ -336,7 +336,7 @@ class WindowSolver:
             Time that it may take, in s, where that is less than the limit.
         """
         sound = data.with_sound_soc(self.site.batteries)
-        if self.method != "decomposed" or sound.longest_off is not None:
+        if self.method != "decomposed" or sound.limits_time_off:
             return math.inf
         task = self._task(sound, self.limits.at_most(within_s))
         require_bounds(task)

@@ -35,9 +35,9 @@ def solve_with_limits(
         If the window has no dispatch.
     """
     rules = data.switching
-    assert rules is not None and rules.longest_off is not None
+    assert rules is not None
     deadline = Deadline(limits.time_s)
-    freed = replace(rules, longest_off=None)
+    freed = replace(rules, longest_off=rules.longest_off.without_customers())
     relaxed = replace(data, switching=None if freed.idle else freed)
     try:
         free = without(relaxed, limits.at_most(HALF * limits.time_s))

@@ -84,7 +84,7 @@ def mismatch_kw(
         In kW; None where something was not measured, where nothing flowed, or where restored
         customers take more than their reading says.
     """
-    cold = seen.switching is not None and seen.switching.rules.cold
+    cold = seen.switching.rules.cold
     if seen.import_kw is None or seen.battery_kw is None or feeder_off(seen) or cold:
         return None
     demand = readings.load_kw * served(commanded, seen)

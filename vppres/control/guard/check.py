@@ -192,10 +192,8 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
         taken_kw, running = row.taken_kw[kind], row.running[kind]
         on = units.connected(state.site.customers, row.served[np.newaxis] > 0.0)
         now = known.part(slice(1))
-        plan = (taken_kw[np.newaxis], running[np.newaxis], state.site.dt_h)
-        beyond = np.maximum(
-            now.power_beyond_kw(units, on, *plan), now.stored_beyond_kw(units, *plan)
-        )[0]
+        plan = (units, on, taken_kw[np.newaxis], running[np.newaxis], state.site.dt_h)
+        beyond = np.maximum(now.power_beyond_kw(*plan), now.stored_beyond_kw(*plan))[0]
         slack = within.power_kw + within.power_share * units.largest_kw
         found = worst_words(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
         if found:

@@ -108,7 +108,7 @@ class Felt:
         climate.state = felt.reckoned_c
         for t in moment.begun_since(self.at_h)[:-1]:
             held_c = moment.known.thermal_loads.held_c
-            climate.advance(t, climate.thermostat_kw(t, held_c, moment.served))
+            climate.state = climate.after_c(t, climate.thermostat_kw(t, held_c, moment.served))
             felt = felt.moved_to(climate.state)
         return felt
 
@@ -229,7 +229,12 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, rooms: Rooms, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+    window: Scenario,
+    rooms: Rooms,
+    connected: Flags,
+    taken_kw: Floats,
+    running: Flags,
+    times: pd.DatetimeIndex,
 ) -> dict[str, pd.DataFrame]:
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]

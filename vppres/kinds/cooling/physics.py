@@ -158,7 +158,7 @@ class Climate:
         away_c = (self.state - rests_at_c) * np.exp(-self.scenario.grid.dt_h / time_constant_h)
         return np.asarray(rests_at_c + away_c)
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""
         self.state = self.after_c(t, taken_kw)
 

@@ -32,8 +32,8 @@ class LongestOff:
     price: Floats  #: price of a step beyond it, in weighted customer hours, (n,)
 
     @classmethod
-    def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff | None:
-        """The limits of the window that begins now, without prices; None if none says anything.
+    def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff:
+        """The limits of the window that begins now, without prices; none if they ask nothing.
 
         ``longest_h`` is how long each may be off at a time, infinite for any time, ``off_h`` how
         long each has been, (C,) each. Off for one hour of two, the second step is the first beyond.
@@ -45,9 +45,15 @@ class LongestOff:
         steps = steps_within(longest_h[customer], dt_h)
         before = np.round(off_h[customer] / dt_h).astype(int)
         asked = before + np.arange(n_steps)[:, None] >= steps
-        if not asked.any():
-            return None
-        return cls(customer, np.minimum(steps, n_steps), asked, np.zeros(len(customer)))
+        found = cls(customer, np.minimum(steps, n_steps), asked, np.zeros(len(customer)))
+        return found if asked.any() else found.without_customers()
+
+    def __len__(self) -> int:
+        return len(self.customer)
+
+    def without_customers(self) -> LongestOff:
+        """Limits of no customer."""
+        return LongestOff(self.customer[:0], self.steps[:0], self.asked[:, :0], self.price[:0])
 
     def priced(self, hour_beyond: Floats, dt_h: float) -> LongestOff:
         """The limits at the prices of an hour beyond, (C,)."""
@@ -64,12 +70,12 @@ class LongestOff:
         """Penalty of a service for steps beyond the limits, in weighted customer hours."""
         return float(self.beyond(served).sum(axis=0) @ self.price)
 
-    def first(self, n_steps: int) -> LongestOff | None:
-        """The limits of the first steps; None if they say nothing."""
-        asked = self.asked[:n_steps]
-        if not asked.any():
-            return None
-        return replace(self, steps=np.minimum(self.steps, len(asked)), asked=asked)
+    def part(self, steps: slice) -> LongestOff:
+        """The limits in some steps of the window: behind its first the time before is not known."""
+        first, stop, _ = steps.indices(len(self.asked))
+        asked = self.asked[steps]
+        found = replace(self, steps=np.minimum(self.steps, stop), asked=asked)
+        return found if first == 0 and asked.any() else found.without_customers()
 
 
 def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
@@ -80,8 +86,7 @@ def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
     """
     found = np.zeros(len(longest_h), dtype=bool)
     limits = LongestOff.of(longest_h, off_h, dt_h, n_steps=1)
-    if limits is not None:
-        found[limits.customer] = limits.asked[0]
+    found[limits.customer] = limits.asked[0]
     return found
 
 
@@ -100,9 +105,9 @@ class SwitchingData:
     #: Whose demand would be higher for a restoration before the window, if still served, (W, C).
     cold_before: Flags
     day: Wholes  #: day of each step, counted from that of the first, (W,)
-    #: How long customers may be off at a time; None where that says nothing. It may be broken at a
-    #: price, so that no service breaks a rule by it.
-    longest_off: LongestOff | None = None
+    #: How long customers may be off at a time. It may be broken at a price, so that no service
+    #: breaks a rule by it.
+    longest_off: LongestOff
 
     def keeping(self, served: Flags) -> SwitchingData:
         """The rules where some customers, (n, C), must be served in the first n steps too."""
@@ -112,21 +117,16 @@ class SwitchingData:
 
     def part(self, steps: slice) -> SwitchingData:
         """The rules of some of the window's steps."""
-        first, stop, _ = steps.indices(len(self.served_min))
-        limits = self.longest_off if first == 0 else None  # else the time before is not known
         by_step = ("served_min", "served_max", "cold_before", "day")
         return replace(
             self,
             **{name: getattr(self, name)[steps] for name in by_step},
-            longest_off=limits and limits.first(stop),
+            longest_off=self.longest_off.part(steps),
         )
 
     def priced(self, hour_beyond: Floats, dt_h: float) -> SwitchingData:
         """The rules at the prices of an hour beyond the longest time off, (C,)."""
-        limits = self.longest_off
-        if limits is None:
-            return self
-        return replace(self, longest_off=limits.priced(hour_beyond, dt_h))
+        return replace(self, longest_off=self.longest_off.priced(hour_beyond, dt_h))
 
     def without_duties(self) -> SwitchingData:
         """The rules without duties of the past: no customer has to be supplied."""
@@ -149,12 +149,12 @@ class SwitchingData:
     @property
     def idle(self) -> bool:
         """Whether any service obeys, at no price and with no higher demand."""
-        return self.longest_off is None and self._any_switching
+        return self._any_switching and not len(self.longest_off)
 
     @property
     def only_time_off(self) -> bool:
         """Whether all that the rules say is how long customers may be off."""
-        return self.longest_off is not None and self._any_switching
+        return self._any_switching and len(self.longest_off) > 0
 
     @property
     def _any_switching(self) -> bool:
@@ -189,7 +189,7 @@ class SwitchingData:
         Two actions for each switching off, and what is beyond the longest times off.
         """
         pairs = self.price_of_pair * float(self.changes(served)[1].sum())
-        return pairs if self.longest_off is None else pairs + self.longest_off.cost(served)
+        return pairs + self.longest_off.cost(served)
 
     def demand_factor(self, served: Flags) -> Floats:
         """Demand of each customer as a multiple of the usual one under a service, (W, C)."""
@@ -233,37 +233,31 @@ class SwitchingState:
     served: Flags  #: who was served in the last step, (C,)
     since_h: Floats  #: time since the last action in h, infinite where there was none, (C,)
     actions: Floats  #: actions so far in the present day, (C,)
+    longest_off_h: Floats  #: how long each may be off at a time in h, infinite for any time, (C,)
     duties: bool = True  #: whether the past demands anything of the service
     step: int = 0  #: the step that begins now, counted from the first
-    #: How long each customer may be off at a time in h, (C,); None if none has a limit.
-    longest_off_h: Floats | None = None
 
     @classmethod
-    def start(
-        cls,
-        rules: SwitchingRules,
-        dt_h: float,
-        n_customers: int,
-        longest_off_h: Floats | None = None,
-    ) -> SwitchingState:
-        """All customers are supplied, and have been for long."""
-        return cls(
-            rules,
-            dt_h,
-            np.ones(n_customers, dtype=bool),
-            np.full(n_customers, np.inf),
-            np.zeros(n_customers),
-            longest_off_h=longest_off_h,
-        )
+    def start(cls, rules: SwitchingRules, dt_h: float, n_customers: int) -> SwitchingState:
+        """All customers are supplied, have been for long, and may be off for any time."""
+        served, forever = np.ones(n_customers, dtype=bool), np.full(n_customers, np.inf)
+        return cls(rules, dt_h, served, forever, np.zeros(n_customers), forever)
 
     @classmethod
-    def of(cls, rules: SwitchingRules, customers: Customers, dt_h: float) -> SwitchingState | None:
-        """The start of a site's customers; None where nothing of the past matters."""
-        longest_h = customers.longest_off_h
-        limits = longest_h if np.isfinite(longest_h).any() else None
-        if limits is None and not rules.active:
-            return None
-        return cls.start(rules, dt_h, len(customers), limits)
+    def of(cls, rules: SwitchingRules, customers: Customers, dt_h: float) -> SwitchingState:
+        """The start of a site's customers."""
+        start = cls.start(rules, dt_h, len(customers))
+        return replace(start, longest_off_h=customers.longest_off_h)
+
+    @property
+    def limits_time_off(self) -> bool:
+        """Whether any customer may be off for so long only."""
+        return bool(np.isfinite(self.longest_off_h).any())
+
+    @property
+    def matters(self) -> bool:
+        """Whether any decision depends on who was served before."""
+        return self.rules.active or self.limits_time_off
 
     @property
     def off_h(self) -> Floats:
@@ -271,7 +265,9 @@ class SwitchingState:
         return np.where(self.served, 0.0, self.since_h)
 
     def advance(self, served: Flags) -> SwitchingState:
-        """The state after a step."""
+        """The state after a step; the start goes on where no past matters."""
+        if not self.matters:
+            return self
         changed = served != self.served
         now, later = self._days(2)
         return replace(
@@ -295,10 +291,8 @@ class SwitchingState:
         return np.asarray(self.window(1).demand_factor(served[np.newaxis])[0])
 
     @property
-    def due(self) -> Flags | None:
-        """Customers that would be off beyond their longest time now, (C,); None without any."""
-        if self.longest_off_h is None:
-            return None
+    def due(self) -> Flags:
+        """Customers that would be off beyond their longest time now, (C,)."""
         return due(self.longest_off_h, self.off_h, self.dt_h)
 
     @property
@@ -335,9 +329,7 @@ class SwitchingState:
             cold_factor=rules.cold_load_factor,
             cold_before=self.restored & (step < self._steps_left(cold_h)),
             day=days,
-            longest_off=None
-            if self.longest_off_h is None
-            else LongestOff.of(self.longest_off_h, self.off_h, self.dt_h, n_steps),
+            longest_off=LongestOff.of(self.longest_off_h, self.off_h, self.dt_h, n_steps),
         )
         return data if self.duties else data.without_duties()
 
@@ -366,12 +358,10 @@ class Owed:
     steps: Wholes  #: steps in which each may catch up, 0 for a customer that does not, (C,)
 
     @classmethod
-    def of(cls, customers: Customers, dt_h: float) -> Owed | None:
-        """Nothing is owed yet; None if no customer catches up."""
+    def of(cls, customers: Customers, dt_h: float) -> Owed:
+        """Nothing is owed yet; a table without rows if no customer catches up."""
         steps = customers.recovery_steps(dt_h)
-        if not steps.any():
-            return None
-        return cls(np.zeros((steps.max(), len(customers))), steps)
+        return cls(np.zeros((steps.max(initial=0), len(customers))), steps)
 
     def after(self, load_kw: Floats, share: Floats) -> Owed:
         """Owed demand after a step of this demand, of which each was given a share, (C,) each.

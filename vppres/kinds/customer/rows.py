@@ -242,9 +242,9 @@ class LongestTimeOff(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Customers with a limit and their steps."""
-        limits = data.longest_off
-        if limits is None:
+        if data.switching is None or not len(data.switching.longest_off):
             return None
+        limits = data.switching.longest_off
         return tuple(zip(limits.customer.tolist(), limits.steps.tolist(), strict=True))
 
     @classmethod
@@ -272,10 +272,9 @@ class LongestTimeOff(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the window's limits."""
-        limits = data.longest_off
-        assert limits is not None
-        write(self.asked, limits.asked.astype(float))
-        write(self.price, limits.price)
+        assert data.switching is not None
+        write(self.asked, data.switching.longest_off.asked.astype(float))
+        write(self.price, data.switching.longest_off.price)
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,8 +378,7 @@ class DimmedDemand(Addition):
         if self.steps:
             limited = np.isfinite(data.grid_limit_kw).astype(float)
             write(self.limited, np.tile(limited[:, None], len(self.steps)))
-            valid = 0.0 * data.load_kw if data.owed is None else data.owed.valid(data.n_steps)
-            write(self.P_valid, valid[:, self.customer] @ self.catching.T)
+            write(self.P_valid, data.owed.valid(data.n_steps)[:, self.customer] @ self.catching.T)
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:

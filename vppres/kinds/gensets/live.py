@@ -364,7 +364,12 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, known: SetsAhead, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+    window: Scenario,
+    known: SetsAhead,
+    connected: Flags,
+    taken_kw: Floats,
+    running: Flags,
+    times: pd.DatetimeIndex,
 ) -> dict[str, pd.DataFrame]:
     """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets

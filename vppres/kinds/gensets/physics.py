@@ -226,7 +226,7 @@ class SetsAhead(UnitsAhead):
         return np.asarray(np.max(over, axis=0))
 
     def stored_beyond_kw(
-        self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float
+        self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
         """Fuel that is missing, as a power over the step, (W, G)."""
         fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
@@ -402,7 +402,7 @@ class Engines:
         hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
         return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""
         self.state = self.after(t, running, -taken_kw)
 

@@ -321,7 +321,12 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, ahead: Plugged, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+    window: Scenario,
+    ahead: Plugged,
+    connected: Flags,
+    taken_kw: Floats,
+    running: Flags,
+    times: pd.DatetimeIndex,
 ) -> dict[str, pd.DataFrame]:
     """Known vehicles that leave short within the plan; what leaves after it is not judged."""
     chargers, sessions = window.chargers, window.sessions

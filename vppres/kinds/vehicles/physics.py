@@ -198,7 +198,7 @@ class Plugged(UnitsAhead):
         return np.maximum(taken_kw - most_kw, -taken_kw - back_kw)
 
     def stored_beyond_kw(
-        self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float
+        self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
         """Excess of energies beyond their limits, as a power over the step, (W, K)."""
         energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
@@ -299,7 +299,7 @@ class Garage:
         full_kwh = self._of(self.scenario.sessions.full_kwh, t)
         return np.clip(self.at(t) + into_kw * self.scenario.grid.dt_h, 0.0, full_kwh)
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""
         self.state = self.after_kwh(t, taken_kw)
 

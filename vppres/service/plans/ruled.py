@@ -47,6 +47,7 @@ def ruled(
         delta_offset(site.network, None),
         np.isfinite(held),
         parts=parts_of(site, now.out_of_service(range(1)), held_soc, now.outage, needs_former),
+        due=np.zeros(len(site.customers), dtype=bool),  # how long each has been off is not known
     )
     for kind, table in before.items():
         if "running" in table:

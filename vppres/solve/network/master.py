@@ -120,8 +120,7 @@ class NetworkMaster:
         self.beyond: Floats = np.zeros(0)
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
-            if data.switching.longest_off is not None:
-                self.beyond = np.round(data.switching.longest_off.price / self.unit)
+            self.beyond = np.round(data.switching.longest_off.price / self.unit)
 
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
