@@ -429,6 +429,24 @@ def test_a_dark_island_and_a_fallback_come_first(tiny_run: Trajectory) -> None:
     assert words == "Not supplied: the step was decided by a fallback (rule: no answer)."
 
 
+def test_prices_that_take_too_long_are_asked_for_once_and_told(
+    tiny_run: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def slow(*given: Any) -> PricedWindow | None:
+        asked.append(given)
+        return price_window(*given, time_s=0.0)
+
+    monkeypatch.setattr("vppres.explain.prices.price_window", slow)
+    reasons, shadow = tables(explain_day(changed(tiny_run, "customers", served=False)))
+    assert len(asked) == len(tiny_run.steps) and shadow.empty
+    late = "o shadow prices were found in time"
+    assert reasons.loc[reasons["item"] == "step", "words"].str.contains(late).all()
+    off = reasons[reasons["action"] == "not_served"]
+    assert off["words"].str.contains(late).any()
+
+
 def test_a_switching_rule_is_named_where_service_would_have_paid(tiny_run: Trajectory) -> None:
     served = tiny_run.customers["served"].astype(bool).to_numpy().copy()
     served[-1] = False  # with grid, nothing is scarce, and the homes stay off

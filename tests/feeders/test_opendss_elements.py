@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from tests.support.refusals import refusal
+from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
+from vppres.feeders.closeness import NO_SOLUTION
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.dss.recheck import solved_steps
 from vppres.feeders.new.options import NewScenarioOptions
@@ -297,6 +299,21 @@ def test_loads_outside_their_limits_of_voltage_are_all_that_differs(
         feeder = import_network(file)
         assert feeder.phased is not None and not feeder.phased.causes
         assert apart(feeder, file) < CLOSE_PU
+
+
+@pytest.mark.daily
+def test_a_feeder_without_a_solution_of_its_own_is_refused(tmp_path: Path) -> None:
+    """2 MW at one phase: OpenDSS makes an impedance of it below ``vminpu``."""
+    file = written(tmp_path, (*BASE, "new load.e bus1=b.3 phases=1 kv=2.4 kw=2000"))
+    feeder = import_network(file)
+    assert feeder.phased is not None and feeder.phased.difference_pu is None
+    with pytest.raises(InputError, match=r"has no solution .* load\.e .* --accept-deviation"):
+        write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "refused")
+    assert not (tmp_path / "refused").exists()
+    notes = write_new_scenario(
+        feeder, NewScenarioOptions(accept_deviation=True), tmp_path / "accepted"
+    )
+    assert NO_SOLUTION in notes
 
 
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"

@@ -58,7 +58,8 @@ def test_products_of_many_parameters_take_memory_by_their_number() -> None:
     """Demand of 4,000 customers: cvxpy's own products would take the square of it, 130 MB."""
     demand, x = cp.Parameter((2, 2000)), cp.Variable((2, 2000))
     tracemalloc.start()
-    found = affine(joined([cp.multiply(x[:, ::-1], 2.0 * demand) <= demand]))
+    product = cp.multiply(np.full(x.shape, 0.5), cp.multiply(x[:, ::-1], 4.0 * demand))
+    found = affine(joined([product <= demand]))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 20e6

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import ModelError
+from vppres.core.errors import LimitError, ModelError
 from vppres.explain.recorded import Recorded
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
@@ -57,6 +57,7 @@ class StepPrices:
     #: Cost minimised with the service of the first level; None where stored energy decides on
     #: service, where there is no grid in the window, or without answer.
     cost: PricedWindow | None
+    late: bool = False  #: whether time ran out for a level
 
     @property
     def solved(self) -> bool:
@@ -93,13 +94,20 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     """Shadow prices of one step."""
     window = recorded.seen(t)
     left_out = recorded.left_out(t)
+    late = False
 
     def price(
         held: FixedDecisions, terms: PricedTerms, more: Floats | float = 0.0
     ) -> PricedWindow | None:
+        nonlocal late
         richer = replace(window, soc=window.soc + more)
+        if late:
+            return None
         try:
             answer = price_window(model, richer, held, terms)
+        except LimitError:  # another problem of the step is no smaller
+            late = True
+            return None
         except ModelError:  # a feeder that cannot carry its demand: the step was not planned either
             return None
         return answer if answer is None else _of_the_others(answer, left_out)
@@ -115,10 +123,11 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     service = _service_level(price, recorded.site.weights.lambda_curt, held, energy_kwh)
     connected = bool((window.grid_limit_kw > 0).any())
     if service is None or not connected or np.any(np.abs(service.prices.stored_energy) > WORTH):
-        return StepPrices(window, service, None)
+        return StepPrices(window, service, None, late)
     share = _whole(service.served_share)
     fixed = replace(held, service_min=share, service_max=share)
-    return StepPrices(window, service, price(fixed, _cost_alone(service.curtailed_kwh)))
+    cost = price(fixed, _cost_alone(service.curtailed_kwh))
+    return StepPrices(window, service, cost, late)
 
 
 def _of_the_others(answer: PricedWindow, left_out: Flags) -> PricedWindow:

@@ -47,6 +47,12 @@ UNEXPLAINED = Reason(
     "unexplained", "", "Not supplied: neither shadow prices nor the record give a reason."
 )
 
+LATE = Reason(
+    "unexplained",
+    "",
+    "Not supplied: no shadow prices were found in time, and the record gives no reason.",
+)
+
 
 def why_not_served(step: Step, customer: int) -> Reason:
     """Why a customer was off supply in a step."""
@@ -243,15 +249,15 @@ def _from_the_record(step: Step, customer: int) -> Reason:
         (step.outage and bool(limits.at_inverter.any()), "inverter"),
         (bool(limits.low_voltage.any()), "voltage"),
     )
+    late = step.levels.late
+    lacking = (
+        "no shadow prices were found in time" if late else "this step has no shadow price for it"
+    )
     for reached, binding in found:
         if reached:
-            return Reason(
-                binding,
-                binding,
-                f"Not supplied: limit reached in the record: {DRIVERS[binding]}; this step has no "
-                "shadow price for it.",
-            )
-    return UNEXPLAINED
+            words = f"Not supplied: limit reached in the record: {DRIVERS[binding]}; {lacking}."
+            return Reason(binding, binding, words)
+    return LATE if late else UNEXPLAINED
 
 
 def why_battery_moved(step: Step, battery: int) -> Reason:

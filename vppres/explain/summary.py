@@ -15,7 +15,8 @@ def why_step(step: Step) -> Reason:
     """Reason for a step as a whole, and for the energy that it keeps."""
     reason = _main_reason(step)
     kept = "" if step.dark or step.fallback else why_kept(step)
-    words = [reason.words, kept, _switching_words(step)]
+    late = "No shadow prices were found in time." if step.levels.late else ""
+    words = [reason.words, late, kept, _switching_words(step)]
     return replace(reason, words=" ".join(filter(None, words)))
 
 

@@ -35,6 +35,10 @@ NOT_CONVERGED = (
     "The source's own AC power flow does not converge, so nothing says how close the feeder is to "
     "it. First check the units of its loads (MW; kW in OpenDSS) and lines."
 )
+NO_SOLUTION = (
+    "The feeder's own power flow has no solution with the powers of the source, so nothing says "
+    "how close it is to it."
+)
 
 
 class PandapowerFlow:
@@ -157,11 +161,17 @@ def _causes(feeder: ImportedFeeder) -> str:
 def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted: bool) -> None:
     """Refuse a feeder whose voltages are not the source's, unless that was accepted."""
     largest = deviation.largest_pu
-    if accepted or largest is None or largest <= EXACT_PU:
+    if accepted:
+        return
+    if NO_SOLUTION in feeder.notes:
+        words = "has no solution of its own power flow with the powers of the source"
+    elif largest is not None and largest > EXACT_PU:
+        words = f"has voltages up to {largest:.2g} pu away from the source's"
+    else:
         return
     raise InputError.of(
         feeder.name,
-        f"has voltages up to {largest:.2g} pu away from the source's. Causes: {_causes(feeder)}",
+        f"{words}. Causes: {_causes(feeder)}",
         "Accept that with --accept-deviation, or change the source.",
     )
 

@@ -105,8 +105,10 @@ def _by_diagonals(part: Any) -> Any:
     if not part.args or not part.parameters():
         return part
     args = [_by_diagonals(each) for each in part.args]
-    if isinstance(part, cp.multiply) and part.variables():
-        factor, letters = args if args[1].variables() else args[::-1]
+    if not isinstance(part, cp.multiply):
+        return part.copy(args)
+    factor, letters = args if args[1].variables() else args[::-1]
+    if factor.parameters() and letters.variables():
         product = cp.diag(cp.vec(factor, order="F")) @ cp.vec(letters, order="F")
         return cp.reshape(product, part.shape, order="F")
     return part.copy(args)

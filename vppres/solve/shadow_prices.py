@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.core.errors import LimitError
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING
@@ -117,11 +118,18 @@ def price_window(
         What is maximised.
     time_s : float
         Time limit in s.
+
+    Raises
+    ------
+    LimitError
+        If time ran out.
     """
     model.price(data, held, priced)
     assert model.data is not None
     model.phase_rows = []
     outcome = run_within_limits(model.site, model.data, model, time_s, model.phase_rows)
+    if outcome.status in (Status.NO_ANSWER, Status.TIME_LIMIT):
+        raise LimitError("A step's shadow prices were not found in time.")
     if outcome.status != Status.OPTIMAL:
         return None
     value = model.value_of

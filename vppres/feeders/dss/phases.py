@@ -13,7 +13,7 @@ from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV, W_PER_KW
-from vppres.feeders.closeness import NOT_CONVERGED
+from vppres.feeders.closeness import NO_SOLUTION, NOT_CONVERGED
 from vppres.feeders.dss.nodes import beside, reached, without
 from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
@@ -48,11 +48,6 @@ DRAWING = ("load", "storage")
 
 BEHIND = "vsource"
 """Bus behind the source's impedance, where no other has that name."""
-
-NO_SOLUTION = (
-    "The feeder's own power flow has no solution with the powers of the source, so nothing says "
-    "how close it is to it."
-)
 
 Node = tuple[str, int]
 
