@@ -123,3 +123,21 @@ def test_what_a_charger_says_once_is_not_late(tiny: Scenario, tmp_path: Path) ->
             runner.check_alarms()
         assert plan["late"] == [] and plan["expected"]["vehicles"]["k0"]["needed_kwh"] == 20.0
         assert http.get("/v1/alarms").json()["alarms"] == []
+
+
+def test_parts_of_a_forecast_that_were_issued_together_all_count(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Two customers in two requests, in another zone, with half hours where steps are hours."""
+    clock = SetClock(NOON)
+    with serving(Service(with_units(tiny), HERE), tmp_path, clock) as (http, runner):
+        issued = {"issued_at": NOON.isoformat(), "start": "2026-11-21T14:00:00+01:00"}
+        for name, values in (("shop", [10.0, 30.0]), ("homes", [50.0, 50.0])):
+            body = {**issued, "resolution": "PT30M", "assets": {name: {"p50": values}}}
+            assert http.put("/v1/forecasts/load_kw", body).status == 200
+        http.post("/v1/telemetry", heard(NOON))
+        plan = runner.step()
+        known = runner.expected[plan["id"]].load_kw
+        assert isinstance(known, pd.DataFrame)
+        row = known.loc[NOON + 60 * MINUTES]
+        assert (row["shop"], row["homes"]) == (20.0, 50.0)

@@ -132,8 +132,19 @@ SEQUENCES: dict[str, list[Row]] = {
         ("12:00", "decide", 0.2, 200, {"expected.import_kw": pytest.approx(180.0, abs=3.0)}),
         ("12:00", "PUT forecasts/load_kw", {**FORECAST, "assets": {"shop": {**QUANTILES, "p90": [80.0, 1.0]}}}, 422,
             {"detail": has("cross")}),
-        ("12:00", "PUT forecasts/load_kw", {**FORECAST, "assets": {"shp": QUANTILES}, "resolution": "PT30M"}, 422,
-            {"problems.*.cure": ["Did you mean shop?", "Steps last 60 min."]}),
+        ("12:00", "PUT forecasts/load_kw", {**FORECAST, "assets": {"shp": QUANTILES}}, 422,
+            {"problems.*.cure": ["Did you mean shop?"]}),
+    ],
+    "prices of any resolution are those of the steps that they touch": [
+        # From 12:15 on: 45 min of the first step, a quarter of it dear.
+        ("12:00", "PUT events/quarters", {**CHEAP, "start": f"{DAY}12:15:00Z", "resolution": "PT15M",
+            "price_gbp_per_kwh": [0.1, 0.2, 0.6, 0.3]}, 201, {}),
+        ("12:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": pytest.approx(0.3)}),
+        ("13:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": pytest.approx(0.3)}),
+        ("14:00", "PUT events/hours", {**CHEAP, "start": f"{DAY}13:00:00Z", "resolution": "PT2H",
+            "price_gbp_per_kwh": [0.7, 0.8]}, 201, {}),
+        ("14:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": 0.7}),
+        ("15:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": 0.8}),
     ],
     "telemetry is kept once and refused by name": [
         ("12:00", "POST telemetry", heard(NOON), 200, {"": {"accepted": 2, "duplicates": 0, "refused": []}}),
