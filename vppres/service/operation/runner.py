@@ -175,7 +175,7 @@ class Runner:
         self._within: Within | None = None
         self._odd = set[str]()
         if isinstance(clock, SetClock) and self.last:
-            clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
+            clock.set(max(clock.now(), pd.Timestamp(self.last["generated_at"])))
         self._state = self._last_state()
         if self._made_later(self.last, clock.now()):
             self._come_back(clock.now())
