@@ -58,7 +58,7 @@ class Stored:
         """
         said = [one for plan in self.plans for one in versions(plan) if one["status"] != "missed"]
         own = [one for one in said if one["status"] in DECIDED]
-        if len(own) == len(said):
+        if len(own) == len(said) or not len(getattr(self.scenario, kind)):
             return None
         begun = _begin(own[-1] if own else said[0])
         rows: dict[pd.Timestamp, dict[str, float]] = {}
