@@ -135,6 +135,15 @@ SEQUENCES: dict[str, list[Row]] = {
         ("12:00", "PUT forecasts/load_kw", {**FORECAST, "assets": {"shp": QUANTILES}}, 422,
             {"problems.*.cure": ["Did you mean shop?"]}),
     ],
+    "an announced outage begins within a step for which the grid was read": [
+        ("12:00", "PUT events/storm", {"type": "outage", "start": f"{DAY}12:20:00Z", "end": f"{DAY}14:00:00Z"}, 201, {}),
+        ("12:00", "hear", BACK, 200, {}),
+        ("12:00", "decide", 0.5, 200, {"grid.available": True}),
+        ("12:21", "PUT clock", {"now": f"{DAY}12:21:00Z"}, 200, {}),
+        ("12:21", "anew", None, 200, {"anew": "event storm began", "grid.available": False, "grid.known_by": "event"}),
+        ("12:22", "PUT clock", {"now": f"{DAY}12:22:00Z"}, 200, {}),
+        ("12:22", "anew", None, 204, {}),
+    ],
     "prices of any resolution are those of the steps that they touch": [
         # From 12:15 on: 45 min of the first step, a quarter of it dear.
         ("12:00", "PUT events/quarters", {**CHEAP, "start": f"{DAY}12:15:00Z", "resolution": "PT15M",
