@@ -329,3 +329,26 @@ def test_a_day_of_lost_readings_is_told_in_a_few_notices(store: Store, tiny: Sce
             )
         book.alarms.look(conditions(situation(now, tiny, store, plan, 3600.0)), now)
     assert 0 < len(book.notices) < 10
+
+
+def test_an_acknowledged_alarm_stands_over_a_restart_within_the_step(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """The clock that is set goes on from the last plan, not from the beginning of its step."""
+    service = Service(site(tiny), HERE)
+    then = NOON + 20 * MINUTE
+    clock = SetClock(NOON)
+    with serving(service, tmp_path, clock) as (http, runner):
+        decided(http, clock, NOON)
+        runner.set_clock(then)
+        (lost,) = readings(then, "grid_on", {"grid": 0.0})
+        series = [lost, {**lost, "source": "relay"}]
+        assert http.post("/v1/telemetry", {"series": series}).status == 200
+        runner.anew()
+        (alarm,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
+        http.post(f"/v1/alarms/{alarm['id']}/acknowledge", {"reason": "known"})
+    with serving(service, tmp_path, SetClock(NOON - HOUR)) as (http, runner):
+        runner.check_alarms()
+        assert runner.clock.now() == then
+        (again,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
+        assert (again["id"], again["state"]) == (alarm["id"], "acknowledged")

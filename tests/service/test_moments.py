@@ -123,3 +123,62 @@ def test_what_a_charger_says_once_is_not_late(tiny: Scenario, tmp_path: Path) ->
             runner.check_alarms()
         assert plan["late"] == [] and plan["expected"]["vehicles"]["k0"]["needed_kwh"] == 20.0
         assert http.get("/v1/alarms").json()["alarms"] == []
+
+
+def test_parts_of_a_forecast_that_were_issued_together_all_count(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Two customers in two requests, in another zone, with half hours where steps are hours."""
+    clock = SetClock(NOON)
+    with serving(Service(with_units(tiny), HERE), tmp_path, clock) as (http, runner):
+        issued = {"issued_at": NOON.isoformat(), "start": "2026-11-21T14:00:00+01:00"}
+        for name, values in (("shop", [10.0, 30.0]), ("homes", [50.0, 50.0])):
+            body = {**issued, "resolution": "PT30M", "assets": {name: {"p50": values}}}
+            assert http.put("/v1/forecasts/load_kw", body).status == 200
+        http.post("/v1/telemetry", heard(NOON))
+        plan = runner.step()
+        known = runner.expected[plan["id"]].load_kw
+        assert isinstance(known, pd.DataFrame)
+        row = known.loc[NOON + 60 * MINUTES]
+        assert (row["shop"], row["homes"]) == (20.0, 50.0)
+
+
+def test_what_an_operator_orders_counts_too(tiny: Scenario, tmp_path: Path) -> None:
+    """Held from 12:20 to 14:00, by hand from 14:15 to 16:00: the van has what it took by then."""
+    clock = SetClock(NOON)
+    with serving(Service(with_units(tiny), HERE), tmp_path, clock) as (http, runner):
+
+        def asked(minutes: int, **mode: Any) -> Any:
+            clock.set(NOON + minutes * MINUTES)
+            if mode:
+                assert http.put("/v1/mode", mode).status == 200
+                return runner.anew()
+            assert http.post("/v1/telemetry", heard(clock.now(), 0.6)).status == 200
+            return runner.step()
+
+        series = readings(NOON, "ev_soc", {"k0": 0.4}) + readings(NOON, "indoor_c", {"h0": 25.0})
+        http.post("/v1/telemetry", {"series": series})
+        first_kw = said(asked(0), "chargers")["k0"]["p_kw"]
+        asked(20, mode="hold", until="2026-11-21T14:00:00Z")
+        asked(60)
+        plan = asked(120)
+        energy_kwh = 24.0 + 0.92 * 2.0 * first_kw
+        assert plan["status"] == "ok" and energy_kwh > 25.0
+        found = plan["expected"]["vehicles"]["k0"]["energy_kwh"]
+        assert found == pytest.approx(energy_kwh, abs=1e-6)
+        then_kw = said(plan, "chargers")["k0"]["p_kw"]
+        before_c = plan["expected"]["indoor_end_c"]["h0"]
+        points = [
+            {"kind": "chargers", "asset": "k0", "p_limit_kw": 2.0},
+            {"kind": "thermal_loads", "asset": "h0", "setpoint_c": 22.0},
+        ]
+        asked(135, mode="manual", until="2026-11-21T16:00:00Z", setpoints=points)
+        asked(180)
+        plan = asked(240)
+        energy_kwh += 0.92 * (0.25 * then_kw + 1.75 * 2.0)
+        found = plan["expected"]["vehicles"]["k0"]["energy_kwh"]
+        assert found == pytest.approx(energy_kwh, abs=1e-6)
+        # At full power in the hour that the operator had: 7 kW of cold, 5 K/kW.
+        rests_c = float(runner.scenario.temperature_c[15]) + 5.0 * (0.5 - 7.0)
+        cooled_c = rests_c + (before_c - rests_c) * math.exp(-1.0 / 40.0)
+        assert plan["expected"]["indoor_c"]["h0"] == pytest.approx(cooled_c, abs=1e-6)

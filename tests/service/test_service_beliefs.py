@@ -231,6 +231,23 @@ def test_what_a_crew_says_of_the_end(tiny: Scenario, tmp_path: Path) -> None:
         assert http.put("/v1/events/crew", at_five).status == 422
 
 
+def test_an_outage_goes_on_after_the_time_that_a_crew_gave(tiny: Scenario, tmp_path: Path) -> None:
+    """Steps are planned at that time, after it, and when a later message names a past one."""
+    with believing(tiny, tmp_path) as (http, clock):
+        crew = "/v1/events/crew"
+        by = {"type": "restoration", "by": (NOON + 2 * HOUR).isoformat()}
+        for hour in range(5):
+            now = NOON + hour * HOUR
+            clock.set(now)
+            grid_on(http, now, False)
+            if hour == 0:
+                assert http.put(crew, by).status == 201
+            if hour == 4:
+                assert http.put(crew, {**by, "by": (NOON + 3 * HOUR).isoformat()}).status == 200
+            plan = decided(http, clock, now)
+            assert (plan["status"], plan["outage_probability"][0]) == ("ok", 1.0)
+
+
 def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path) -> None:
     with believing(tiny, tmp_path, "known") as (http, _):
         answer = http.put("/v1/events/storm", STORM)

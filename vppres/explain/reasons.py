@@ -295,11 +295,11 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
         return Reason("supply", _at_limit(step, battery), "Discharges: supplies customers.")
     limit = _at_limit(step, battery)
     if limit in ("power", "inverter"):
-        return Reason(
-            limit,
-            limit,
-            _sentence(f"Discharges as much as {SCARCE[limit]} allows", one_more(step, limit)),
-        )
+        words = f"Discharges as much as {SCARCE[limit]} allows"
+        if limit == "inverter":  # reactive power may leave little of it
+            kvar = abs(float(step.recorded.batt_q_kvar[step.t][battery]))
+            words = f"{words} beside {figure(kvar)} kvar"
+        return Reason(limit, limit, _sentence(words, one_more(step, limit)))
     worth = float(step.service.kept_energy[battery])
     if limit == "energy" and not step.off_later:
         words = "Discharges: supplies customers with all that it may give"

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
         ev_soc: Values | None = None
         energy_needed_kwh: Values | None = None
         departure: Mapping[str, Any] | pd.Series | None = None
+        charger_ordered_kw: Values | None = None
         indoor_c: Values | None = None
+        thermostat_ordered_c: Values | None = None
         running: Values | None = None
         genset_kw: Values | None = None
         genset_ordered_kw: Values | None = None

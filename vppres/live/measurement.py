@@ -107,6 +107,9 @@ class Measurement(ReadOfKinds):
     genset_ordered_kw : mapping or Series, optional
         The most that each set was ordered to give since the last decision, where that was not what
         was decided; 0 of one that was to stand still. ``running`` says what it does now.
+    charger_ordered_kw, thermostat_ordered_c : mapping or Series, optional
+        Mean power that chargers were ordered since the last decision, and what thermostats were
+        set to last, where that was not what was decided.
     read_at : mapping, optional
         When vehicles, rooms, tanks and sets were read, by quantity and identifier; now, if not
         given. What their set-points changed since is added.

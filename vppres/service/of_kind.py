@@ -19,7 +19,7 @@ from vppres.kinds.table import FOLDERS, parts
 from vppres.live.range import POWER_KW, RATING_SHARE
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, Plans
-from vppres.service.storage.records import Reading
+from vppres.service.storage.records import DECIDED, Reading, versions
 from vppres.service.storage.store import Store
 
 Direction = Literal["", "charging_positive", "injection_positive"]
@@ -49,6 +49,35 @@ class Stored:
     plans: Sequence[Plan]  #: plans since then
     at: pd.Timestamp  #: the moment of the decision
     store: Store  #: where it is stored
+
+    def ordered(self, kind: str, field: str) -> tuple[pd.Timestamp, dict[str, pd.Series]] | None:
+        """Set-points of a kind's units since the controller decided; None if they are all its own.
+
+        When it decided last, and by unit the numbers of a field from times on; nothing is ordered
+        once a set-point is over.
+        """
+        said = [one for plan in self.plans for one in versions(plan) if one["status"] != "missed"]
+        own = [one for one in said if one["status"] in DECIDED]
+        if len(own) == len(said) or not len(getattr(self.scenario, kind)):
+            return None
+        begun = _begin(own[-1] if own else said[0])
+        rows: dict[pd.Timestamp, dict[str, float]] = {}
+        for one in said:
+            points = [point for point in one["setpoints"] if point["kind"] == kind]
+            if not points:
+                continue
+            begin = _begin(one)
+            rows = {time: row for time, row in rows.items() if time < begin}
+            rows[begin] = {point["asset"]: point[field] for point in points}
+            rows[pd.Timestamp(points[0]["valid_until"])] = {}
+        told = pd.DataFrame.from_dict(rows, orient="index", dtype=float).sort_index()
+        told = told[(told.index >= begun) & (told.index < self.at)]
+        return begun, {str(name): told[name] for name in told}
+
+
+def _begin(plan: Plan) -> pd.Timestamp:
+    """From when on a plan holds."""
+    return pd.Timestamp(plan.get("valid_from", plan.get("start")))
 
 
 class OfKind:

@@ -15,7 +15,6 @@ from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
 from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import written
 from vppres.service.payloads import Forecasts, Prices, Quantiles
 
 CAUTIOUS = {"load_kw": "p90", "pv_kw": "p10"}
@@ -44,12 +43,17 @@ class Window:
         return np.asarray((self.times + self.length > start) & (self.times < end))
 
     def lay(self, series: Floats, body: Prices | Forecasts, values: list[float]) -> None:
-        """Put those values of a body in a series' place that begin with a step of the window."""
-        start = body.start.tz_convert("UTC")
+        """Put the mean of a body's values in each step that it touches in a series' place."""
+        start, each = body.start.tz_convert("UTC"), body.resolution
         for row, time in enumerate(self.times):
-            place, rest = divmod(time - start, body.resolution)
-            if not rest and 0 <= place < len(values):
-                series[row] = values[place]
+            end = time + self.length
+            first = max((time - start) // each, 0)
+            after = min(-((start - end) // each), len(values))
+            begins = [start + place * each for place in range(first, after)]
+            held = [(min(begin + each, end) - max(begin, time)) / each for begin in begins]
+            if held:
+                mean = np.average(values[first:after], weights=held)
+                series[row] = mean if len(held) > 1 else values[first]
 
     def expected(
         self,
@@ -79,14 +83,8 @@ class Window:
         return table, cautious
 
 
-def check_forecast(
-    quantity: str,
-    assets: Mapping[str, Quantiles],
-    start: pd.Timestamp,
-    length: pd.Timedelta,
-    of: Scenario,
-) -> None:
-    """Whether a forecast is of the site and its steps, and of what its devices can do.
+def check_forecast(quantity: str, assets: Mapping[str, Quantiles], of: Scenario) -> None:
+    """Whether a forecast is of the site, and of what its devices can do.
 
     Raises
     ------
@@ -100,14 +98,6 @@ def check_forecast(
         if name not in known
     ]
     problems += _beyond_ratings(quantity, assets, of)
-    step, lasts = of.grid.step, f"Steps last {of.grid.step_minutes:g} min"
-    if length != step:
-        message, cure = "is not the length of a step", f"{lasts}."
-        problems.append(Problem("forecast", message, cure, None, "resolution", str(length)))
-    elif (start - of.grid.start) % step != pd.Timedelta(0):
-        message = "is not the beginning of a step"
-        cure = f"{lasts}; one begins at {written(of.grid.start)}."
-        problems.append(Problem("forecast", message, cure, None, "start", written(start)))
     if problems:
         raise InputError(problems)
 

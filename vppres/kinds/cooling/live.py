@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 
 RANGES = {
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give degrees Celsius."),
+    "thermostat_ordered_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give it in °C."),
 }
 """Plausible ranges of thermometers' readings."""
 
-QUANTITIES = tuple(RANGES)
+QUANTITIES = ("indoor_c",)
 MEANS: tuple[str, ...] = ()
 HELD = QUANTITIES
 SETPOINT, NUMBERS = "setpoint_c", ("setpoint_c",)
@@ -100,15 +101,14 @@ class Felt:
         none = np.full(len(start_c), np.nan)
         return cls(at_h, none, start_c, start_c, start_c, start_c, np.zeros(len(start_c)))
 
-    def now(self, moment: Moment) -> Felt:
-        """At a moment: in steps in which nothing was decided thermostats hold the band."""
+    def now(self, moment: Moment, ordered_c: Floats) -> Felt:
+        """At a moment: in steps that were not decided thermostats hold what others ordered."""
         held_h = moment.held_h(self.at_h)
         felt = self.moved_to(self.followed(self.reckoned_c, moment, held_h))
         climate = Climate(moment.known)
         climate.state = felt.reckoned_c
         for t in moment.begun_since(self.at_h)[:-1]:
-            held_c = moment.known.thermal_loads.held_c
-            climate.state = climate.after_c(t, climate.thermostat_kw(t, held_c, moment.served))
+            climate.state = climate.after_c(t, climate.thermostat_kw(t, ordered_c, moment.served))
             felt = felt.moved_to(climate.state)
         return felt
 
@@ -140,6 +140,7 @@ class ReadRooms:
 
     t_c: Floats
     age_h: Floats
+    ordered_c: Floats  #: what others than the controller set thermostats to since
 
 
 def read(
@@ -153,7 +154,9 @@ def read(
     loads = scenario.thermal_loads
     none = np.full(len(loads), np.nan)
     t_c = door.values("indoor_c", measured["indoor_c"], loads.id, none)
-    return scenario, ReadRooms(t_c, ages_h["indoor_c"])
+    ordered = measured["thermostat_ordered_c"]
+    ordered_c = door.values("thermostat_ordered_c", ordered, loads.id, loads.held_c)
+    return scenario, ReadRooms(t_c, ages_h["indoor_c"], ordered_c)
 
 
 def now(moment: Moment, read: ReadRooms, past: Felt | None) -> Indoor:
@@ -161,7 +164,7 @@ def now(moment: Moment, read: ReadRooms, past: Felt | None) -> Indoor:
     if past is None:
         felt, read_c = Felt.before_the_day(moment.known, moment.at_h), read.t_c
     else:
-        felt, read_c = past.now(moment), past.read_now(moment, read)
+        felt, read_c = past.now(moment, read.ordered_c), past.read_now(moment, read)
     return Indoor.of(moment, read.t_c, read_c, felt)
 
 

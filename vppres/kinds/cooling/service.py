@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, said_of
-from vppres.service.of_kind import OfKind, Wrong
+from vppres.service.of_kind import OfKind, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
 
 
@@ -21,6 +22,13 @@ class Thermostats(OfKind):
 
     kind = "thermal_loads"
     source = "thermostats"
+
+    def readings(self, stored: Stored) -> dict[str, Any]:
+        """Temperatures, and what others than the controller set thermostats to last."""
+        found = stored.ordered(self.kind, "setpoint_c")
+        last = {name: one.dropna() for name, one in found[1].items()} if found else {}
+        told = {name: float(one.iloc[-1]) for name, one in last.items() if len(one)}
+        return super().readings(stored) | {"thermostat_ordered_c": told or None}
 
     def impossible(self, said: OperatorSetpoint, units: ThermalLoads, i: int) -> Iterator[Wrong]:
         """A temperature outside the comfort band."""

@@ -63,6 +63,10 @@ class Chargers(Owned, KindTable):
     eta_charge: Floats = field(default_factory=no_items)
     eta_discharge: Floats = field(default_factory=no_items)
 
+    def stored_kw(self, power_kw: Floats) -> Floats:
+        """By how much the energy of vehicles grows with these powers, (K,)."""
+        return np.where(power_kw > 0.0, power_kw * self.eta_charge, power_kw / self.eta_discharge)
+
     @property
     def two_way(self) -> Flags:
         """Chargers that discharge vehicles too, (K,)."""

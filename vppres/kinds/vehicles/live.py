@@ -28,6 +28,7 @@ RANGES = {
     "ev_soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "energy_needed_kwh": POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
+    "charger_ordered_kw": Range(-1e7, 1e7, "must be a power in kW", "Give a number."),
 }
 """Plausible ranges of chargers' readings of their vehicles."""
 
@@ -42,7 +43,7 @@ FORESEEN = ("left_short",)
 SHOWN, FIGURES = ("plugged",), ("p_charge_kw",)
 """Readings and columns that the page shows."""
 
-QUANTITIES = tuple(RANGES)
+QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
 """Quantities of the vehicle at a charger."""
 
 
@@ -109,6 +110,11 @@ class PluggedInVehicles:
         now, then = (moment.held_h(self.at_h, ago_h) / dt_h for ago_h in (0.0, read.age_h))
         read_kwh = read.kwh + (now - then) * (self.end_kwh - self.kwh)
         told_kwh = (1.0 - now) * self.kwh + now * self.end_kwh
+        if np.isfinite(read.ordered_kw).any():
+            gain_kw = moment.window.chargers.stored_kw(read.ordered_kw)
+            by_others, since_h = np.isfinite(gain_kw), moment.at_h - self.at_h
+            read_kwh = np.where(by_others, read.kwh + gain_kw * read.age_h, read_kwh)
+            told_kwh = np.where(by_others, self.kwh + gain_kw * since_h, told_kwh)
         return np.where(counts, read_kwh, np.where(stays, told_kwh, np.nan))
 
 
@@ -139,6 +145,8 @@ class ReadVehicles:
 
     kwh: Floats
     age_h: Floats
+    #: Mean power that each charger was ordered since the last decision, where others ordered it.
+    ordered_kw: Floats
 
 
 def now(moment: Moment, read: ReadVehicles, past: PluggedInVehicles | None) -> VehiclesNow:
@@ -172,8 +180,11 @@ def read(
     )
     departure = door.moments("departure", measured["departure"], chargers.id)
     held_kwh, age_h = none.copy(), np.zeros(len(chargers))
+    ordered_kw = door.values(
+        "charger_ordered_kw", measured["charger_ordered_kw"], chargers.id, none
+    )
     if door.problems or not len(chargers):
-        return scenario, ReadVehicles(held_kwh, age_h)
+        return scenario, ReadVehicles(held_kwh, age_h, ordered_kw)
     own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
     for row in rows_of(scenario.sessions):
         own[row["charger"]].append(row)
@@ -193,7 +204,8 @@ def read(
             elif np.isfinite(seen.needed_kwh):
                 held_kwh[k], age_h[k] = 0.0, ages_h["energy_needed_kwh"][k]
     told_of = [row for rows in own.values() for row in rows]
-    return replace(scenario, sessions=sessions_of(told_of)), ReadVehicles(held_kwh, age_h)
+    laid = replace(scenario, sessions=sessions_of(told_of))
+    return laid, ReadVehicles(held_kwh, age_h, ordered_kw)
 
 
 Row = dict[str, Any]  # of a session, by column

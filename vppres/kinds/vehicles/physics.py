@@ -293,11 +293,8 @@ class Garage:
     def after_kwh(self, t: int, power_kw: Floats) -> Floats:
         """Energy of each vehicle at the end of a step with these powers, (K,)."""
         chargers = self.scenario.chargers
-        into_kw = np.where(
-            power_kw > 0.0, power_kw * chargers.eta_charge, power_kw / chargers.eta_discharge
-        )
-        full_kwh = self._of(self.scenario.sessions.full_kwh, t)
-        return np.clip(self.at(t) + into_kw * self.scenario.grid.dt_h, 0.0, full_kwh)
+        into_kwh = chargers.stored_kw(power_kw) * self.scenario.grid.dt_h
+        return np.clip(self.at(t) + into_kwh, 0.0, self.full_kwh(t))
 
     def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""

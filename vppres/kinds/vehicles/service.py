@@ -20,6 +20,8 @@ from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import Reading, moment, seconds
 
+HOUR = pd.Timedelta(hours=1)
+
 
 class ChargingPoints(OfKind):
     """Chargers and the vehicles at them."""
@@ -52,7 +54,7 @@ class ChargingPoints(OfKind):
                 told["plugged"][name] = 0.0
         leaves = told["departure"].items()
         told["departure"] = {one: moment(int(value)) for one, value in leaves}
-        return {name: values or None for name, values in told.items()}
+        return {name: values or None for name, values in (told | _ordered_kw(stored)).items()}
 
     def of_those_here(self, readings: list[Reading]) -> list[Reading]:
         """Readings without those of vehicles that have left since."""
@@ -115,6 +117,21 @@ class ChargingPoints(OfKind):
     def powers(self, t: int, units: Garage, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Set-points of chargers."""
         return np.nan_to_num(asked["p_kw"])
+
+
+def _ordered_kw(stored: Stored) -> dict[str, dict[str, float]]:
+    """Mean power that chargers were ordered since the controller decided, where others were."""
+    found = stored.ordered("chargers", "p_kw")
+    if found is None or found[0] >= stored.at:
+        return {}
+    begun, told = found
+    means = {}
+    for name, power_kw in told.items():
+        ends = [*power_kw.index[1:], stored.at]
+        hours = [(end - time) / HOUR for time, end in zip(power_kw.index, ends, strict=True)]
+        energy_kwh = float(np.dot(power_kw.fillna(0.0), hours))
+        means[name] = energy_kwh / ((stored.at - begun) / HOUR)
+    return {"charger_ordered_kw": means}
 
 
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:

@@ -209,7 +209,7 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
     """Messages of all outages that may be now or later; ``now`` is a step's beginning."""
     found = []
     for name, event in events.items():
-        message = _message(name, event.said, now, step)
+        message = _message(name, event, now, step)
         if not message:
             continue
         # Since when it is known, and what is said now; of a crew what it said last.
@@ -231,7 +231,7 @@ def warnings_ever(
         for event in each:
             issued = moment(event.made_at)
             if event.said:
-                message = _message(name, event.said, _step_of(issued, start, step), step)
+                message = _message(name, event, _step_of(issued, start, step), step)
             else:
                 message = OutageWarning(issued, name, probability=0.0) if spoken else None
             spoken = bool(message and event.said)
@@ -241,12 +241,15 @@ def warnings_ever(
 
 
 def _message(
-    name: str, said: payloads.Event | None, now: pd.Timestamp, step: pd.Timedelta
+    name: str, event: Event, now: pd.Timestamp, step: pd.Timedelta
 ) -> OutageWarning | None:
     """Notice of an outage in an event; None if there is none that counts now."""
+    said, made = event.said, moment(event.made_at)
     if isinstance(said, payloads.Restoration):
+        if said.by and said.by <= made:  # it was over when it was said
+            return None
         of_end: dict[str, Any] = {field: getattr(said, key) for key, field in SAID_OF_END.items()}
-        return OutageWarning(now, name, **of_end)
+        return OutageWarning(min(made, now), name, **of_end)
     interval = certain_interval(said)
     if not interval:
         return _uncertain(name, said, now, step) if isinstance(said, payloads.Belief) else None

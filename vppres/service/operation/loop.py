@@ -40,8 +40,8 @@ class Loop(threading.Thread):
             changes = self.runner.changes
             once_s = self._once()
             self._guarded(self.runner.on_plan)
-            changes.new.wait(min(once_s, LONGEST_WAIT_S, self._to_next_end_s()))
-            self._guarded(self.runner.note_ends)
+            changes.new.wait(min(once_s, LONGEST_WAIT_S, self._to_next_turn_s()))
+            self._guarded(self.runner.note_turns)
             if not changes.reasons or self._end.wait(SETTLE_S):
                 continue
             if not self._guarded(self.runner.anew):
@@ -66,10 +66,10 @@ class Loop(threading.Thread):
             return False
         return True
 
-    def _to_next_end_s(self) -> float:
-        """How long until the mode or an event ends, in s."""
+    def _to_next_turn_s(self) -> float:
+        """How long until the mode ends, or an event begins or ends, in s."""
         try:
-            return self.runner.to_next_end_s()
+            return self.runner.to_next_turn_s()
         except VppresError:  # the database does not answer: the next turn says so
             return RETRY_S
 

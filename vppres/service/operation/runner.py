@@ -36,7 +36,7 @@ from vppres.service.alarms.notify import Notifier
 from vppres.service.alarms.state import Alarms
 from vppres.service.as_told import closed_by, expected_by
 from vppres.service.clock import SetClock, TimeSource, written
-from vppres.service.events.announced import warnings
+from vppres.service.events.announced import certain_interval, warnings
 from vppres.service.events.faults import FAULTS, faults_at, told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.by_hand import ByHand
@@ -175,7 +175,7 @@ class Runner:
         self._within: Within | None = None
         self._odd = set[str]()
         if isinstance(clock, SetClock) and self.last:
-            clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
+            clock.set(max(clock.now(), pd.Timestamp(self.last["generated_at"])))
         self._state = self._last_state()
         if self._made_later(self.last, clock.now()):
             self._come_back(clock.now())
@@ -258,28 +258,32 @@ class Runner:
             if event.made_at > since:
                 self.changes.note(f"event {name}")
 
-    def note_ends(self) -> None:
-        """Note what has ended since the plan of the present step was made."""
+    def note_turns(self) -> None:
+        """Note what has begun or ended since the plan of the present step was made."""
         if not self.last or self.rehearsal:
             return
         since, now = pd.Timestamp(self.last["generated_at"]), self.clock.now()
-        for what, end in self._ends():
-            if since < end <= now:
-                self.changes.note(f"{what} ended")
+        for what, time in self._turns():
+            if since < time <= now:
+                self.changes.note(what)
 
-    def to_next_end_s(self) -> float:
-        """How long until something ends that the plan of the present step knows, in s."""
+    def to_next_turn_s(self) -> float:
+        """How long until something begins or ends otherwise than in the present plan, in s."""
         now = self.clock.now()
-        left = [(end - now).total_seconds() for _, end in self._ends() if end > now]
+        left = [(time - now).total_seconds() for _, time in self._turns() if time > now]
         return float(min(left, default=np.inf))
 
-    def _ends(self) -> list[tuple[str, pd.Timestamp]]:
-        """When the mode and events end, of those that have an end."""
+    def _turns(self) -> list[tuple[str, pd.Timestamp]]:
+        """When the mode and events end, and outages begin in a step that is planned with grid."""
         asked, _ = self.store.setting(MODE)
-        ends = {f"event {name}": one.body.get("end") for name, one in self.store.events().items()}
+        events = self.store.events()
+        times = {f"event {name} ended": one.body.get("end") for name, one in events.items()}
         if asked:
-            ends[f"mode {asked['mode']}"] = asked["until"]
-        return [(what, pd.Timestamp(end)) for what, end in ends.items() if end]
+            times[f"mode {asked['mode']} ended"] = asked["until"]
+        if (self.last.get("grid") or {}).get("available"):
+            certain = {name: certain_interval(one.said) for name, one in events.items()}
+            times |= {f"event {name} began": one[0] for name, one in certain.items() if one}
+        return [(what, pd.Timestamp(time)) for what, time in times.items() if time]
 
     def checked(self, asked: Mapping[str, Any]) -> list[str]:
         """Consequences of an operator's set-points now, by balance and AC power flow.
@@ -419,7 +423,7 @@ class Runner:
         self.clock.set(time)
         if not self._state:  # nothing was decided yet: it begins here
             self._controller = self._restored()
-        self.note_ends()
+        self.note_turns()
         if self.changes.reasons:  # a plan of the same moment could not be told from the one before
             self.changes.new.set()
         self.check_alarms()

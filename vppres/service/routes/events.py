@@ -17,7 +17,6 @@ from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.versions import IfMatch, replaced_by
 from vppres.service.storage.records import Event, moment
-from vppres.service.window import check_forecast
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:
@@ -99,8 +98,6 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Event]:
         """Keep events that can be, in the place of others; a plan does not know them yet."""
         for one in said.values():
-            if isinstance(one, payloads.Prices):
-                check_forecast("load_kw", {}, one.start, one.resolution, runner.scenario)
             check_belief(one, runner.options)
             check_fault(one, runner.scenario)
         now = runner.clock.now()

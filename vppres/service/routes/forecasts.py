@@ -25,7 +25,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Store a forecast of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
         if quantity not in ("load_kw", "pv_kw"):
             raise HTTPException(404, "There are forecasts of load_kw and pv_kw.")
-        check_forecast(quantity, body.assets, body.start, body.resolution, runner.scenario)
+        check_forecast(quantity, body.assets, runner.scenario)
         runner.store.put_forecast(quantity, body.model_dump(), runner.clock.now(), actor)
         return {"quantity": quantity, "issued_at": written(body.issued_at)}
 

@@ -241,11 +241,13 @@ class Store:
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
     ) -> None:
-        """Keep a forecast beside older ones."""
-        issued_at = pd.Timestamp(body["issued_at"])
+        """Keep a forecast beside older ones; parts that were issued together are one."""
+        key = {"quantity": quantity, "issued_at": seconds(pd.Timestamp(body["issued_at"]))}
+        before = self._body(sa.select(FORECASTS.c.body).filter_by(**key))
+        if all(before.get(name) == body[name] for name in ("start", "resolution")):
+            body = {**body, "assets": before["assets"] | body["assets"]}
         with self._changes() as db:
-            text = json.dumps(body, sort_keys=True)
-            put(db, FORECASTS, quantity=quantity, issued_at=seconds(issued_at), body=text)
+            put(db, FORECASTS, **key, body=json.dumps(body, sort_keys=True))
             note(db, now, actor, "forecast", f"{quantity} {body['issued_at']}")
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> Forecasts | None:
