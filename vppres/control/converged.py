@@ -259,13 +259,17 @@ class ConvergedPlanner:
         return limited, kept
 
     def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
-        """Island steps that no supply schedule has a dispatch for: for capacitors, for example."""
+        """Island steps that no supply schedule has a dispatch for: for capacitors, for example.
+
+        Rules on switching, which may ask for more supply than there is, count for nothing here.
+        """
         beyond = np.zeros(start.n_steps, dtype=bool)
         if start.drawn is None:
             return beyond
+        free = replace(start, switching=None)
         for step in np.flatnonzero(start.dark & lit_steps(start)):
             try:
-                self.solver.solve(start.part(slice(step, step + 1)), deadline.left_s)
+                self.solver.solve(free.part(slice(step, step + 1)), deadline.left_s)
             except InfeasibleError:
                 beyond[step] = True
             except (NumericalError, LimitError):
