@@ -55,6 +55,13 @@ def test_a_battery_takes_it_in_an_island_without_customers(method: str) -> None:
     assert run.batteries["soc_end"].tolist() == pytest.approx([0.4, 0.6, 0.8], abs=1e-4)
 
 
+def test_a_battery_that_it_fills_holds_the_island_until_then() -> None:
+    """With 5 kW of demand 15 kWh are left each hour: 30 kWh of room are two hours of three."""
+    run = run_of(5.0, [DARK] * 3, soc=0.7)
+    assert run.customers["served"].tolist() == [True, True, False]
+    assert run.steps["status"].tolist() == ["optimal", "optimal", "blacked_out"]
+
+
 def test_it_supplies_customers_in_an_island() -> None:
     """Of 60 kW the battery gives 40: twice before it is empty, and nobody is off before then."""
     run = run_of(60.0, [DARK] * 2, soc=0.81)
