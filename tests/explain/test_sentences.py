@@ -30,7 +30,7 @@ DAYS = [(0, True), (1, False), (2, False), (3, False), (5, True)]
 
 NUMBER = r"([\d.]+)"
 SENTENCES = {
-    "others": rf"supplying it would cost others {NUMBER} weighted",
+    "others": rf"others would lose {NUMBER} weighted",
     "customer": rf"supplying it would be worth {NUMBER} weighted",
     "stored": rf"one more stored kWh would add {NUMBER} weighted",
     "kept": rf"a kWh kept for later would be worth {NUMBER} weighted",

@@ -98,7 +98,7 @@ def test_notes_of_an_import_are_of_the_import_in_a_folder_that_was_edited(tmp_pa
     )
     text = call("validate", str(folder)).stdout
     assert "0 PV systems, 1 battery," in text
-    assert "- The island is formed by depot at bus 18" in text
+    assert "- In an island depot at bus 18" in text
     assert "No battery" not in text
     read = read_scenario(folder)
     assert read.source.notes and not any(note.startswith("At import") for note in read.source.notes)
@@ -151,16 +151,16 @@ def test_the_battery_that_forms_the_island_is_named() -> None:
     tiny = tiny_scenario()
     assert former_words(tiny) == ""  # islands of paper mode have no former
     default = former_words(tiny, "physical")
-    assert default.startswith("The island is formed by big at bus ")
-    assert "chosen by default, because no battery is marked grid_forming" in default
+    assert default.startswith("In an island big at bus ")
+    assert "no battery is marked grid_forming in batteries.csv, and its inverter is" in default
     # Powers of customers add as vectors, their apparent powers do not.
     power = tiny.load_kw + 1j * tiny.load_kvar
     assert f"The largest demand is {abs(power.sum(axis=1)).max():,.1f} kVA." in default
     assert default in remarks(tiny, "physical")
     chosen = replace(tiny.batteries, grid_forming=np.array([False, True]))
     named = former_words(replace(tiny, batteries=chosen), "physical")
-    assert named.startswith("The island is formed by small at bus ")
-    assert "by default" not in named
+    assert named.startswith("In an island small at bus ")
+    assert "is marked" not in named
     connected = replace(tiny, grid_limit_kw=np.full(tiny.grid.n_steps, np.inf))
     assert former_words(connected, "physical") == ""
 

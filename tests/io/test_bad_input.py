@@ -137,6 +137,16 @@ def test_a_table_in_another_format_is_not_left_out_in_silence(
     ]
 
 
+def test_a_run_folder_is_no_scenario(tiny_folder: Path, tmp_path: Path) -> None:
+    run = tmp_path / "first"
+    shutil.copytree(tiny_folder, run / "scenario")
+    (run / "batteries.parquet").touch()
+    assert messages(run) == [
+        "scenario.toml: the file is missing. This is a run folder: give its copy of the scenario, "
+        "first/scenario."
+    ]
+
+
 def test_a_misspelt_bus_of_a_line_is_found() -> None:
     ends = (["grid", "market", "market"], ["markt", "shop", "mill"])
     (problem,) = check_radial(*(np.array(end, dtype=object) for end in ends), "grid")

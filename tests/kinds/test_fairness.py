@@ -13,10 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import vppres
+from tests.support.small_windows import DARK, battery, two_buses
 from vppres.day.recorder import ROTATED
 from vppres.explain.day import explain_day
 from vppres.scenario.assets import Customers
 from vppres.scenario.fairness import Fairness, Interruption, hours_off, rotated, turns
+from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 
 TIERS = ("critical", "high", "low")
@@ -150,6 +152,17 @@ def test_a_minimum_takes_supply_within_its_tier_only(
         assert served[tiers[1], 0.0][largest] == 0
     assert served["low", 1.0][largest] == 1
     assert served["critical", 1.0].equals(served["critical", 0.0])
+
+
+def test_a_minimum_that_no_battery_can_give_blacks_nobody_out() -> None:
+    """Lines with charging once made such a window one that no battery could hold."""
+    day = two_buses([[200.0, 10.0]] * 2, [0.1, 1.0], [DARK, DARK])
+    charged = Network([1], [2], [0.01], [0.01], slack_bus=1, base_kv=11.0, b_us=[1.0])
+    day = replace(day, network=charged, batteries=battery(soc=0.8))
+    sharing = vppres.RunOptions(mode="physical", priority="weights", minimum_on_h=2.0)
+    run = vppres.run_day(day, sharing)
+    assert set(run.steps["status"]) == {"optimal"}
+    assert run.t.served.to_numpy(bool).tolist() == [[False, True]] * 2
 
 
 @pytest.mark.nightly

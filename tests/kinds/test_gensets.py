@@ -483,7 +483,7 @@ def test_the_duty_is_written_read_and_told(tmp_path: Path) -> None:
     read = load_scenario(tmp_path / "day").gensets
     assert read.grid_forming.tolist() == [True] and read.power_factor.tolist() == [0.9]
     assert former_words(day, "physical") == (
-        "The island is formed by generating set g0 at bus 2 (100 kW), as long as it has fuel. "
+        "In an island generating set g0 at bus 2 (100 kW) forms the grid, as long as it has fuel. "
         + ONE_FORMER
     )
     assert darkness(day, "physical") == ""

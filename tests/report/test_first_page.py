@@ -147,7 +147,7 @@ def test_what_the_result_rests_on_is_on_the_first_page() -> None:
     )
     run = replace(run, options={**run.options, "mode": "physical", "headroom": 0.1})
     told = foundations(run)
-    formers = [words for words in told if words.startswith("The island is formed by ")]
+    formers = [words for words in told if words.startswith("In an island ")]
     assert len(formers) == 1 and "10% of the rating stays free as headroom." in formers[0]
     assert any(
         words.startswith("The controller knows when each outage begins and ends") for words in told

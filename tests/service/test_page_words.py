@@ -244,7 +244,7 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         calm = told(http, tmp_path)
         assert calm["verdict"][:2] == ["fine", "All 3 customers supplied."]
         physical = former_words(site(tiny), "physical", always=True)
-        assert physical.startswith("The island is formed by big at bus")
+        assert physical.startswith("In an island big at bus")
         assert http.get("/v1/site").json()["former"] == ""
         assert calm["facts"] == (
             "Measured: grid on, read at 12:00 (scada). Announced: no outage. "

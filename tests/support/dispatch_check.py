@@ -140,6 +140,8 @@ def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
     dark = data.grid_limit_kw <= 0.0
     imported_kw, exported_kw = np.maximum(d.p_grid_kw, 0.0), np.maximum(-d.p_grid_kw, 0.0)
     from_outside = imported_kw + d.pv_export_kw.sum(axis=1)
+    if data.drawn is not None:  # a fixed demand may be negative
+        from_outside = from_outside - np.minimum(data.drawn.kw.sum(axis=1), 0.0)
     taken_kw = np.zeros(d.n_steps) if data.export is None else data.export.limit_kw * ~dark
     return {
         "export limit": _most((exported_kw - taken_kw) / scale_kw),

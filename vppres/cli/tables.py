@@ -102,19 +102,21 @@ def validation_text(
         return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
     from vppres.kinds.table import parts
 
-    kinds = [counted(content["batteries"], "battery", "batteries")]
-    kinds += [data.contents(content) for kind, data in parts("data").items() if content[kind]]
+    held = [
+        counted(content["buses"], "bus", "buses"),
+        counted(content["customers"], "customer"),
+        content["generators"],
+        counted(content["batteries"], "battery", "batteries"),
+    ]
+    held += [data.contents(content) for kind, data in parts("data").items() if content[kind]]
     faults = (
         f", {counted(content['faults'], 'fault')} of lines or buses" if content["faults"] else ""
     )
+    steps = f"{counted(content['steps'], 'step')} of {content['step_minutes']:g} min"
     holds = (
-        "{folder} is valid: {buses} buses, {customers} customers, {generators}, "
-        f"{', '.join(kinds)}, "
-        "{steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid"
-        f"{faults}"
-        "; {export}; islands in {mode} mode."
-    ).format_map({**content, "folder": folder})
+        f"{folder} is valid: {', '.join([*held, steps])}, {content['outage_steps']} of them "
+        f"without grid{faults}; {content['export']}; islands in {content['mode']} mode."
+    )
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
 

@@ -171,7 +171,7 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
     own = figure(weight) if ranks is None else hours_of(weight, ranks, int(ranks.tier[customer]))
     demand_kwh = float(step.load_kw[customer]) * step.site.dt_h
     lost = service_words(step, weight - gain, demand_kwh)
-    compare = f"supplying it would cost others {lost}, its own value is {own}"
+    compare = f"if it were supplied, others would lose {lost} and it would gain {own}"
     is_outranked = someone_ranks_higher(step, customer)
     kept = kept_for(step, customer) if binding == "energy" else ""
     if kept:

@@ -133,6 +133,8 @@ def read_scenario(folder: str | Path) -> Scenario:
         message = "is not a folder" if folder.exists() else "there is no such folder"
         raise InputError.of(str(folder), message, "Give the path of a scenario folder.")
     settings, problems = read_settings(folder)
+    if not (folder / SCENARIO_FILE).exists():
+        raise InputError(problems)
     tables, table_problems = _read_files(folder, settings)
     rows, row_problems = _read_all_rows(tables)
     series, series_problems = _read_series(settings, tables, rows)

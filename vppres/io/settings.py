@@ -144,7 +144,12 @@ def _check_apart(outages: list[schema.TomlSection]) -> list[Problem]:
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if not path.is_file():
-        cure = "A scenario folder needs it: see the page on the scenario format."
+        copy = path.parent / "scenario"
+        cure = (
+            f"This is a run folder: give its copy of the scenario, {path.parent.name}/{copy.name}."
+            if (copy / path.name).is_file()
+            else "A scenario folder needs it: see the page on the scenario format."
+        )
         return {}, [no_file(path, cure)]
     if out := leads_out(path.parent, path.name):
         return {}, out

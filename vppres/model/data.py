@@ -404,7 +404,14 @@ class WindowData:
         load_kw = self.most_load_kw(site).sum(axis=1)
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
-        return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
+        return np.maximum(np.minimum(self.grid_limit_kw, useful), 0.0)
+
+    @property
+    def network_gives_kw(self) -> Floats:
+        """Power that the network gives on balance, as a fixed demand may be negative, (W,)."""
+        if self.drawn is None:
+            return np.zeros(self.n_steps)
+        return np.asarray(np.maximum(-self.drawn.kw.sum(axis=1), 0.0))
 
     @property
     def in_island(self) -> Flags:
@@ -435,9 +442,7 @@ class WindowData:
         """
         if self.export is None:
             return np.zeros(self.n_steps)
-        possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
-        if self.drawn is not None:  # a fixed demand may be negative
-            possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
+        possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.network_gives_kw
         possible = sum(self.ahead.most_given_kw(site.kinds), start=possible)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)

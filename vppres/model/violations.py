@@ -138,7 +138,7 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
     tolerance = power_tolerance_kw(site, data)
     imported_kw = np.maximum(d.p_grid_kw, 0.0)
     charged_kw = d.charge_kw.sum(axis=1)
-    fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
+    fed_kw = imported_kw + d.pv_export_kw.sum(axis=1) + data.network_gives_kw
     for kind, units in site.kinds.items():
         if KINDS[kind].gives:
             fed_kw = fed_kw - d.taken_by(kind, units).sum(axis=1)

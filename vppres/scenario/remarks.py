@@ -189,19 +189,23 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     if scenario.faults and not (b.grid_forming.any() or forming):
         alone = " Behind a line that is out it is the one with the largest inverter there."
     if not names:
-        fuelled = f"{named(forming, NAMES_SHOWN)}, as long as it has fuel"
-        return f"The island is formed by {fuelled}.{alone}{_unearthed(scenario)}"
+        fuel = "it has fuel" if len(forming) == 1 else "they have fuel"
+        return f"{_form(forming)}, as long as {fuel}.{alone}{_unearthed(scenario)}"
     if b.grid_forming.any():
         then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
-        formed = f"The island is formed by {named(names, NAMES_SHOWN)}."
-        return f"{formed}{then}{alone}{_unearthed(scenario)}"
+        return f"{_form(names)}.{then}{alone}{_unearthed(scenario)}"
     demand_kva = np.hypot(scenario.load_kw.sum(axis=1), scenario.load_kvar.sum(axis=1))
     return (
-        f"The island is formed by {names[0]}, chosen by default, because no battery is marked "
-        "grid_forming: it has the largest inverter. The largest demand is "
-        f"{demand_kva.max():,.1f} kVA. Mark the batteries that can form the grid in batteries.csv."
-        f"{alone}"
+        f"{_form(names)}: no battery is marked grid_forming in batteries.csv, and its inverter is "
+        f"the largest. Mark those that can form it. The largest demand is {demand_kva.max():,.1f} "
+        f"kVA.{alone}"
     )
+
+
+def _form(names: list[str]) -> str:
+    """Devices that form the grid of an island, as the beginning of a sentence."""
+    form = "forms" if len(names) == 1 else "form"
+    return f"In an island {named(names, NAMES_SHOWN)} {form} the grid"
 
 
 def _unearthed(scenario: Scenario) -> str:

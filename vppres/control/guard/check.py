@@ -268,9 +268,11 @@ def _balance_in(row: _Row, state: StepState, within: Tolerances) -> str:
         found_kw = drawn_kw(row, curtailed, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
         given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage
-    if state.island and within.losses:  # what a plan with losses also gives the network
+    if state.island and within.losses:  # what buses take that no asset draws, and what they give
         net = state.site.network
-        losses_kw += float(np.abs(net.drawn(np.ones(net.n_buses))[0]).sum())
+        at_bus_kw = net.drawn(np.ones(net.n_buses))[0]
+        losses_kw += float(at_bus_kw.clip(min=0.0).sum())
+        given_kw -= float(at_bus_kw.clip(max=0.0).sum())
     short = taken - given - state.grid_limit_kw
     surplus = given - taken - state.export_limit_kw
     # What each inverter may be off by adds up here: a plan must not pass there and fail here.

@@ -44,7 +44,13 @@ from vppres.scenario.network import Network
 from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
-from vppres.scenario.scenario import SOFT, ControllerDefaults, Priority, Scenario
+from vppres.scenario.scenario import (
+    DEFAULT_VOLL_GBP_PER_KWH,
+    SOFT,
+    ControllerDefaults,
+    Priority,
+    Scenario,
+)
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
 
@@ -68,9 +74,11 @@ TEMPERATURE_C = 20.0
 LEAST_SERVED_H = 1.0
 """Time on supply of a restored customer: none is switched on for less than an hour."""
 
-TOLD_SERVED = (
-    f"Chosen: a customer that is restored stays on supply for at least {LEAST_SERVED_H:g} h, where "
-    "that is possible. Edit min_served_h in [switching] of scenario.toml for another time."
+TOLD_CHOICES = (
+    "Chosen: tiers in strict order (rule in [priority] of scenario.toml), where possible "
+    f"{LEAST_SERVED_H:g} h on supply for a customer that is restored (min_served_h in "
+    f"[switching]), and the British value of lost load, {DEFAULT_VOLL_GBP_PER_KWH:g} GBP/kWh "
+    "(voll_gbp_per_kwh in [reliability])."
 )
 
 
@@ -137,7 +145,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         phases=phases,
         switches=feeder.switches,
     )
-    notes = (*assets.notes, *switched, *series.notes, *_told_constants(series), TOLD_SERVED)
+    notes = (*assets.notes, *switched, *series.notes, *_told_constants(series), TOLD_CHOICES)
     return scenario, [*notes, *_told_limits(network, options)]
 
 

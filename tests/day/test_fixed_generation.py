@@ -1,0 +1,70 @@
+"""Fixed demand below zero: generation at a bus that no asset owns and nothing curtails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.day.trajectory import Trajectory
+from vppres.scenario.network import Network
+
+GIVEN_KW = 20.0
+
+
+def run_of(
+    load_kw: float, grid_limit_kw: list[float], soc: float, method: str = "decomposed"
+) -> Trajectory:
+    """A customer, a battery of 100 kWh and 50 kW without losses, and 20 kW of fixed generation."""
+    day = two_buses([[load_kw]] * len(grid_limit_kw), [1.0], grid_limit_kw)
+    day = replace(day, export_limit_kw=np.array(np.inf))
+    network = Network(
+        [1], [2], [0.001], [0.001], slack_bus=1, base_kv=11.0,
+        drawing_bus=[2], p_fixed_kw=[-GIVEN_KW],
+    )  # fmt: skip
+    ideal = {"soc_min": 0.0, "soc_max": 1.0, "eta_charge": 1.0, "eta_discharge": 1.0}
+    values = {name: [value] for name, value in {**ideal, "soc_initial": soc}.items()}
+    day = replace(day, network=network, batteries=replace(battery(), **values))
+    return run_day(day, RunOptions(mode="physical", headroom=0.0, method=method))
+
+
+def decided(run: Trajectory) -> set[str]:
+    """How the steps were decided, and by which fallbacks."""
+    return {*run.steps["status"], *run.steps["fallback"]}
+
+
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+def test_what_exceeds_the_demand_is_exported(method: str) -> None:
+    run = run_of(5.0, [OPEN] * 2, soc=1.0, method=method)
+    assert decided(run) == {"optimal", "none"}
+    given_kw = (run.batteries["discharge_kw"] - run.batteries["charge_kw"]).to_numpy()
+    import_kw = run.steps["p_grid_kw"].to_numpy()
+    assert import_kw == pytest.approx(5.0 - GIVEN_KW - given_kw, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+def test_a_battery_takes_it_in_an_island_without_customers(method: str) -> None:
+    """90 kW are more than 20 kW and the battery's 50: it takes 20 kWh in each of three hours."""
+    run = run_of(90.0, [DARK] * 3, soc=0.2, method=method)
+    assert decided(run) == {"optimal", "none"}
+    assert not run.customers["served"].any()
+    assert run.batteries["soc_end"].tolist() == pytest.approx([0.4, 0.6, 0.8], abs=1e-4)
+
+
+def test_a_battery_that_it_fills_holds_the_island_until_then() -> None:
+    """With 5 kW of demand 15 kWh are left each hour: 30 kWh of room are two hours of three."""
+    run = run_of(5.0, [DARK] * 3, soc=0.7)
+    assert run.customers["served"].tolist() == [True, True, False]
+    assert run.steps["status"].tolist() == ["optimal", "optimal", "blacked_out"]
+
+
+def test_it_supplies_customers_in_an_island() -> None:
+    """Of 60 kW the battery gives 40: twice before it is empty, and nobody is off before then."""
+    run = run_of(60.0, [DARK] * 2, soc=0.81)
+    assert decided(run) == {"optimal", "none"}
+    assert run.customers["served"].all()
+    assert np.diff(run.t.soc["b0"]) == pytest.approx([-0.4, -0.4], abs=1e-4)
