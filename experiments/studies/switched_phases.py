@@ -19,12 +19,13 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.pages import put_table
-from experiments.studies.phases import FEEDERS, scenario_of, table_of
+from experiments.studies.phases import FEEDERS, LIMIT_S, scenario_of, table_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
+from vppres.solve.result import SolveLimits
 
 BEGIN, END = "<!-- switched: begin -->", "<!-- switched: end -->"
 COLUMNS = (
@@ -83,7 +84,8 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
 
 def row(day: Scenario, horizon_h: float, moves: bool) -> str:
     """Cells of a day's run."""
-    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves))
+    limits = SolveLimits(time_s=LIMIT_S)
+    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves, limits=limits))
     day, steps = run.scenario, run.steps
     during = steps["lines_out"].ne("").to_numpy()
     supplied = run.by_step("customers", "served")[during] @ day.customers.weight

@@ -19,7 +19,9 @@ from vppres.control.guard.options import GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.kinds.gensets.data import Refuels
 from vppres.model.site import Site
+from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 
@@ -113,3 +115,26 @@ def test_the_previous_plan_runs_what_it_planned() -> None:
     assert [one.steps["fallback"] for one in failed] == ["none"] + ["previous_plan"] * 2
     assert given_kw(failed) == pytest.approx(given_kw(plan), abs=1e-3)
     assert given_kw(failed)[1] > 50.0  # it charges the van too
+
+
+@pytest.mark.parametrize("failing", [range(0), range(5)])
+def test_the_largest_set_that_can_run_holds_a_part(failing: range) -> None:
+    """Without a solver too: the larger one gets fuel for a step only when the smaller has none."""
+    day = powered(
+        [OPEN] * 5,
+        count=2,
+        p_max_kw=np.array([80.0, 100.0]),
+        fuel_level_litres=np.array([45.0, 0.0]),
+        grid_forming=True,
+    )
+    times, dt = day.grid.times, day.grid.step
+    refuels = Refuels(["g1"], [times[3]], [100.0])
+    inductive = replace(day.customers, power_factor=np.full(1, 0.9))
+    fault = LineFault(times[1], times[3] + dt, line=day.network.to_bus[0])
+    day = replace(day, customers=inductive, faults=(fault,), refuels=refuels)
+    records = played(day, failing, horizon_h=2.0)
+    assert {one.steps["fallback"] for one in records} == {"rule" if failing else "none"}
+    assert all(one.customers["served"].all() for one in records)
+    assert given_kw(records) == [0.0, 50.0, 50.0, 0.0, 0.0]
+    given_kvar = np.round([one.kinds["gensets"]["q_kvar"] for one in records], 1)
+    assert given_kvar.argmax(axis=1).tolist() == [0, 0, 0, 1, 0]

@@ -27,19 +27,15 @@ from vppres.scenario.scenario import Scenario
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
 
 
+def three_lines(i_max_a: list[float]) -> Network:
+    """Three lines in a row with these ratings."""
+    ohm = [0.1] * 3
+    return Network([1, 2, 3], [2, 3, 4], ohm, ohm, slack_bus=1, base_kv=11.0, i_max_a=i_max_a)
+
+
 def rated_scenario() -> Scenario:
     """The small day; the line to bus 4 has no rating."""
-    day = small_scenario()
-    net = Network(
-        [1, 2, 3],
-        [2, 3, 4],
-        [0.1] * 3,
-        [0.1] * 3,
-        slack_bus=1,
-        base_kv=11.0,
-        i_max_a=[10.0, 20.0, np.inf],
-    )
-    return replace(day, network=net)
+    return replace(small_scenario(), network=three_lines([10.0, 20.0, np.inf]))
 
 
 def test_lines_have_no_rating_unless_given() -> None:
@@ -61,16 +57,7 @@ def test_ratings_follow_their_lines_when_these_are_sorted() -> None:
     ([10.0], "must have one value for each of the 3 lines"),
 ])  # fmt: skip
 def test_a_wrong_rating_is_refused(i_max_a: list[float], message: str) -> None:
-    assert message in refusal(
-        Network,
-        [1, 2, 3],
-        [2, 3, 4],
-        [0.1] * 3,
-        [0.1] * 3,
-        slack_bus=1,
-        base_kv=11.0,
-        i_max_a=i_max_a,
-    )
+    assert message in refusal(three_lines, i_max_a)
 
 
 def test_a_folder_keeps_ratings_and_an_empty_cell_is_none(tmp_path: Path) -> None:

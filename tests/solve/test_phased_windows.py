@@ -50,6 +50,9 @@ WITHOUT_GRID = (3, 11, 4431)
 """Seeds of windows with weights that are multiples of nothing: the whole problem decides them. In
 the last batteries would waste energy, and which of them charge is decided with the set."""
 
+IN_NETWORK = 12
+"""Seed of a window in parts whose set is decided in the network."""
+
 
 def first_plan(scenario: Scenario) -> Decision:
     """What the first window of a day decides for all of its steps."""
@@ -87,7 +90,7 @@ def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize("seed", [2, 9, 15])
+@pytest.mark.parametrize("seed", [2, 9, 15, IN_NETWORK])
 def test_windows_in_parts_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
     """Each part that something forms has its own balance and phases of its own former."""
     day = faulted_day(seed, steps=3)
@@ -95,6 +98,8 @@ def test_windows_in_parts_equal_a_plain_statement_of_the_whole_problem(seed: int
     physical = replace(day, faults=known, controller=ControllerDefaults(mode="physical"))
     site, data, found = decided(in_phases(physical, np.random.default_rng([seed, 62])))
     assert data.parts.forms.any()
+    in_network = [stage for stage in found.stages if stage.startswith("network_service")]
+    assert bool(in_network) == (seed == IN_NETWORK)
     inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
     gap = max(5e-3, 1e-4 * abs(found.objective))
     assert inside - gap <= found.objective <= around + 1e-6

@@ -77,13 +77,16 @@ class KindsAhead:
             {kind: known.in_the_dark(lit[kind]) for kind, known in self.by_kind.items()}
         )
 
-    def holding(self, units: Mapping[str, Units], part: Mapping[str, Wholes]) -> Self:
+    def holding(self, units: Mapping[str, Units], part: Mapping[str, Wholes], dt_h: float) -> Self:
         """Window with the units that hold the parts that no battery forms.
 
         ``part`` is the number of each unit's part, (W, n) by kind, -1 where units form none.
         """
         return type(self)(
-            {kind: known.holding(units[kind], part[kind]) for kind, known in self.by_kind.items()}
+            {
+                kind: known.holding(units[kind], part[kind], dt_h)
+                for kind, known in self.by_kind.items()
+            }
         )
 
     def without_duties(self) -> Self:
@@ -99,6 +102,11 @@ class KindsAhead:
         """Steps in which units form the grid of an island, (W, n), by kind of those that do."""
         found = {kind: known.forming_steps() for kind, known in self.by_kind.items()}
         return {kind: forms for kind, forms in found.items() if forms.any()}
+
+    def holders(self) -> dict[str, Flags]:
+        """Steps in which units hold a part if they run, (W, n), by kind of those that do."""
+        found = {kind: known.holding_steps() for kind, known in self.by_kind.items()}
+        return {kind: holds for kind, holds in found.items() if holds.any()}
 
     def formed(
         self, units: Mapping[str, Units], dark: Flags, headroom: float, dt_h: float

@@ -6,7 +6,7 @@ started is what forms the grid of an island where nothing else can.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from vppres.control.by_part import by_part, no_supply
 from vppres.control.carried import POWER_TOLERANCE_KW, Carried
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Flags
 
 
 def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
@@ -30,9 +31,13 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
         Names of the tiers, the most important first.
     """
     if state.dark:
-        return _dispatch_beside_former(state, tiers)
+        return _dispatch_beside(state, state.formers, tiers)
     alone = rule_dispatch(state, tiers)
     least = float(alone.dispatch.served[0] @ state.worth)
+    if state.holders:
+        beside = _dispatch_beside(state, state.holders, tiers)
+        if float(beside.dispatch.served[0] @ state.worth) > least:
+            return beside
     for tried in _states_to_try(state):
         found = rule_dispatch(tried, tiers)
         costs_service = float(found.dispatch.served[0] @ state.worth) < least
@@ -68,25 +73,27 @@ def _states_to_try(state: StepState) -> Iterator[StepState]:
             yield tried
 
 
-def _dispatch_beside_former(state: StepState, tiers: Sequence[str]) -> Carried:
+def _dispatch_beside(
+    state: StepState, formers: Mapping[str, Flags], tiers: Sequence[str]
+) -> Carried:
     """The dispatch by rule beside the unit that forms the grid, no supply if none can.
 
     A customer that it can supply at its largest power gets what it lacks.
     """
-    if not state.formers:
+    if not formers:
         return no_supply(state)
-    most = rule_dispatch(_beside_former(state, np.inf), tiers)
+    most = rule_dispatch(_beside(state, formers, np.inf), tiers)
     served = most.dispatch.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
-    found = rule_dispatch(_beside_former(state, lacking_kw), tiers)
+    found = rule_dispatch(_beside(state, formers, lacking_kw), tiers)
     closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
     return found if closes else no_supply(state)
 
 
-def _beside_former(state: StepState, wanted_kw: float) -> StepState:
+def _beside(state: StepState, formers: Mapping[str, Flags], wanted_kw: float) -> StepState:
     """Step state with the units that form the grid near what is wanted."""
     acts = {}
-    for kind, forms in state.formers.items():
+    for kind, forms in formers.items():
         units = state.site.kinds[kind]
         each_kw = np.where(forms, np.minimum(wanted_kw, units.largest_kw), 0.0)
         acts[kind] = state.ahead.by_kind[kind].beside(units, each_kw, state.island, state.site.dt_h)

@@ -211,8 +211,11 @@ def _with_network(
     load_kvar = state.load_kw * served * site.customers.q_per_p
     pv_q, batt_q, missing_kvar = _reactive(state, load_kvar, own + export, battery_kw)
     given_kvar, short_kvar = {}, abs(missing_kvar)
-    for kind in state.formers:
-        most_kvar = state.ahead.by_kind[kind].q_most_kvar(site.kinds[kind])[0]
+    running = {
+        kind: holds & state.running.get(kind, False) for kind, holds in state.holders.items()
+    }
+    for kind, gives in (running | state.formers).items():
+        most_kvar = state.ahead.by_kind[kind].q_most_kvar(site.kinds[kind])[0] * gives
         given_kvar[kind] = np.clip(missing_kvar, -most_kvar, most_kvar)
         short_kvar -= float(np.abs(given_kvar[kind]).sum())
     pv = own, export, pv_q

@@ -134,6 +134,11 @@ class StepState:
         """Units that form the grid, (n,), by kind; none where none has to, or can."""
         return {kind: forms[0] for kind, forms in self.ahead.formers().items()}
 
+    @property
+    def holders(self) -> dict[str, Flags]:
+        """Units that hold a part if they run, (n,), by kind; none where no part needs them."""
+        return {kind: holds[0] for kind, holds in self.ahead.holders().items()}
+
     def acting(self, acts: Mapping[str, tuple[Floats, Flags]]) -> StepState:
         """Step state with these powers of kinds, and which units run of those that are switched."""
         taken_kw = {kind: kw for kind, (kw, _) in acts.items()}

@@ -19,6 +19,7 @@ from vppres.control.candidates import Candidates, Reached
 from vppres.control.configurations import DAY_H, ControllerIn, InConfiguration
 from vppres.control.guard.check import PAPER, Tolerances, violations
 from vppres.control.phased_rule import supply_of
+from vppres.control.planned_step import PlannedStep
 from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import SolveError
@@ -32,7 +33,6 @@ from vppres.feeders.reconfiguration.sequence import (
     safe_order,
 )
 from vppres.model.data import WindowData
-from vppres.model.formulas import bus_injections, curtailed_kw
 from vppres.model.phases import GRID, phased_model
 from vppres.model.site import Site
 from vppres.physics.phased_sources import farthest
@@ -336,8 +336,8 @@ class Switching(InConfiguration):
         day, net = self.day, self.day.network
         part = self.controller_in(found.candidate.closed)
         state = self.step_state(part, observation)
-        given = self._injections(state, found.decision)
-        p_kw, q_kvar = (part.day.at_buses(each) for each in given)
+        step = PlannedStep.of(found.decision, state.site)
+        p_kw, q_kvar = (part.day.at_buses(each) for each in step.injections(state))
         formers = Formers.none() if dark else self._formers(observation, found.decision)
         now = observation.forecast.out
         return SwitchedFeeder(
@@ -352,31 +352,16 @@ class Switching(InConfiguration):
             bus_out=out.buses[0],
             movable=self.branches.movable(~self.closed, now),
             customers=day.customers.by_bus,
-            by_phase=self._by_phase(state, found.decision, formers),
+            by_phase=self._by_phase(state, step, formers),
         )
 
     def _by_phase(
-        self, state: StepState, decision: Decision, formers: Formers
+        self, state: StepState, step: PlannedStep, formers: Formers
     ) -> FlowInStates | None:
-        """Power flow by phase of a decision's step in any configuration; None without phases."""
+        """Power flow by phase of a planned step in any configuration; None without phases."""
         if not self.day.phases:
             return None
-        return FlowInStates(self.day, map(str, formers.id), *self._drawn(state, decision, GRID))
-
-    @staticmethod
-    def _drawn(state: StepState, decision: Decision, source: int) -> tuple[Floats, Floats]:
-        """Power that devices of a feeder with phases draw in a decision's step, (D,) each."""
-        plan, row = decision.dispatch, decision.row
-        sun_kw = plan.pv_self_kw[row] + plan.pv_export_kw[row]
-        given_kw = plan.discharge_kw[row] - plan.charge_kw[row]
-        return phased_model(state.site).powers(
-            source,
-            load_kw=state.load_kw * plan.supplied[row],
-            pv=(sun_kw, plan.pv_q_kvar[row]),
-            batteries=(given_kw, plan.batt_q_kvar[row]),
-            taken_kw={kind: kw[row] for kind, kw in plan.taken_kw.items()},
-            given_kvar={kind: np.nan_to_num(kvar[row]) for kind, kvar in plan.given_kvar.items()},
-        )
+        return FlowInStates(self.day, map(str, formers.id), *step.drawn(state, GRID))
 
     def _formers(self, observation: Observation, decision: Decision) -> Formers:
         """Batteries that can hold an island, with their set-points."""
@@ -397,34 +382,15 @@ class Switching(InConfiguration):
         """The observed step in a configuration."""
         return StepState.of(part.site, self.seen_in(part, observation), self.centre)
 
-    def _injections(self, state: StepState, decision: Decision) -> tuple[Floats, Floats]:
-        """Injections of the buses in a decision's step in kW and kvar, in a configuration."""
-        plan, row, site = decision.dispatch, decision.row, state.site
-        served_kw = state.load_kw * plan.supplied[row]
-        curtailed = curtailed_kw(site, plan.pv_curtailed_kw[row], state.pv_kw, served_kw)
-        p_kw = {
-            "pv": state.pv_kw - curtailed,
-            "batteries": plan.discharge_kw[row] - plan.charge_kw[row],
-            "customers": -served_kw,
-            **{kind: -plan.taken_by(kind, units)[row] for kind, units in site.kinds.items()},
-        }
-        q_kvar = {
-            "pv": plan.pv_q_kvar[row],
-            "batteries": plan.batt_q_kvar[row],
-            "customers": -served_kw * site.customers.q_per_p,
-            **{kind: kvar[row] for kind, kvar in plan.given_kvar.items()},
-        }
-        return bus_injections(site, p_kw), bus_injections(site, q_kvar)
-
     def _with_lines_of(self, state: StepState, decision: Decision) -> Decision:
         """A decision with the flows and voltages that its step has in another configuration."""
-        given = self._injections(state, decision)
-        p_flow_kw, q_flow_kvar, v_pu = network_state(state, *given)
+        step = PlannedStep.of(decision, state.site)
+        p_flow_kw, q_flow_kvar, v_pu = network_state(state, *step.injections(state))
         plan, row = decision.dispatch, decision.row
         v_node_pu = plan.v_node_pu
         if v_node_pu is not None:
             model, source = phased_model(state.site), supply_of(state)
-            found = model.solved(source, *self._drawn(state, decision, source))
+            found = model.solved(source, *step.drawn(state, source))
             if found is not None:
                 of_nodes = model.supplies[source].flow.v_pu(found.v)
                 v_node_pu = with_row(v_node_pu, row, of_nodes)

@@ -177,12 +177,16 @@ class UnitsAhead(ByStep):
         """Window without units that have to stay on."""
         return self
 
-    def holding(self, units: Any, part: Wholes) -> Any:
+    def holding(self, units: Any, part: Wholes, dt_h: float) -> Any:
         """Window with the units that hold parts by number, (W, n), -1 where units form none."""
         return self
 
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, n)."""
+        return np.zeros(self._arrays()[0].shape, dtype=bool)
+
+    def holding_steps(self) -> Flags:
+        """Steps in which each holds a part of the feeder if it runs, (W, n)."""
         return np.zeros(self._arrays()[0].shape, dtype=bool)
 
     def formed(self, units: Any, dark: Flags, headroom: float, dt_h: float) -> tuple[Any, Flags]:

@@ -193,7 +193,7 @@ class WindowData:
         return replace(
             self,
             parts=parts,
-            ahead=self.ahead.in_dead_parts(lit).holding(site.kinds, of_units),
+            ahead=self.ahead.in_dead_parts(lit).holding(site.kinds, of_units, site.dt_h),
             switching=self.switching and self.switching.in_the_dark(off),
             drawn=self.drawn and self.drawn.at(~parts.dead),
         )

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.control.by_part import PartState, parts_of_step
+from vppres.control.by_part import parts_of_step
 from vppres.control.phased_rule import supply_of
+from vppres.control.planned_step import PlannedStep
 from vppres.control.step_state import StepState
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Floats, Names
 from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.table import KINDS
-from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows
+from vppres.model.formulas import lossless_flows
 from vppres.model.parts import at_items
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
@@ -82,7 +83,7 @@ def violations(
         return odd
     net = state.site.network
     limits_pu = state.v_limits_pu(*(v_limits_pu or (net.v_min_pu, net.v_max_pu)))
-    row = _Row.of(decision, state.site)
+    row = PlannedStep.of(decision, state.site)
     found = (
         _service(row, state),
         _battery_power(row, state, within),
@@ -96,50 +97,6 @@ def violations(
         _voltage(row, state, limits_pu, within),
     )
     return [text for text in found if text]
-
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """The step's row of the plan, as floats."""
-
-    served: Floats  # a share of those that are dimmed
-    curtailed_kw: Floats
-    pv_q_kvar: Floats
-    charge_kw: Floats
-    discharge_kw: Floats
-    batt_q_kvar: Floats
-    v_pu: Floats
-    taken_kw: dict[str, Floats]
-    running: dict[str, Flags]
-
-    @classmethod
-    def of(cls, decision: Decision, site: Site) -> _Row:
-        plan = decision.dispatch
-        row = decision.row
-        return cls(
-            np.asarray(plan.supplied[row], dtype=float),
-            plan.pv_curtailed_kw[row],
-            plan.pv_q_kvar[row],
-            plan.charge_kw[row],
-            plan.discharge_kw[row],
-            plan.batt_q_kvar[row],
-            plan.v_pu[row],
-            {kind: plan.taken_by(kind, units)[row] for kind, units in site.kinds.items()},
-            {kind: plan.running_of(kind, units)[row] for kind, units in site.kinds.items()},
-        )
-
-    def inside(self, part: PartState) -> _Row:
-        """Powers of devices of a part of the feeder, 0 for all others."""
-        return replace(
-            self,
-            served=self.served * part.customers,
-            curtailed_kw=self.curtailed_kw * part.pv,
-            pv_q_kvar=self.pv_q_kvar * part.pv,
-            charge_kw=self.charge_kw * part.batteries,
-            discharge_kw=self.discharge_kw * part.batteries,
-            batt_q_kvar=self.batt_q_kvar * part.batteries,
-            taken_kw={kind: kw * part.units[kind] for kind, kw in self.taken_kw.items()},
-        )
 
 
 def misshapen(decision: Decision, site: Site) -> list[str]:
@@ -169,14 +126,14 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
     return found
 
 
-def _service(row: _Row, state: StepState) -> str:
+def _service(row: PlannedStep, state: StepState) -> str:
     c = state.site.customers
     partly = np.maximum(c.least_share - row.served, row.served - c.most_share)
     partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
 
-def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
+def _battery_power(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """Signs, ratings, exclusivity, discs; a battery that is out takes nothing."""
     b = state.site.batteries
     slack = within.power_kw + within.power_share * b.s_max_kva
@@ -185,7 +142,7 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     return worst_words("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
-def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
+def _kinds(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """Violation of a kind's limits of power or storage; empty if there is none."""
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
@@ -201,7 +158,7 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
     return ""
 
 
-def _switched_early(row: _Row, state: StepState) -> str:
+def _switched_early(row: PlannedStep, state: StepState) -> str:
     """Units that start before they may, or run where they must not."""
     islands = state.parts.beyond | state.island
     for kind, known in state.ahead.by_kind.items():
@@ -213,7 +170,7 @@ def _switched_early(row: _Row, state: StepState) -> str:
     return ""
 
 
-def _unformed_supply(row: _Row, state: StepState) -> str:
+def _unformed_supply(row: PlannedStep, state: StepState) -> str:
     """Customers on in an island that only a unit of a kind can form, without one that does."""
     if not state.formers or not row.served.any():
         return ""
@@ -224,7 +181,7 @@ def _unformed_supply(row: _Row, state: StepState) -> str:
     return "island: no set forms the grid"
 
 
-def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
+def _energy(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     known = state.batteries_ahead
     end = known.path(row.charge_kw[np.newaxis], row.discharge_kw[np.newaxis])[1]
@@ -232,14 +189,14 @@ def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     return worst_words("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
 
 
-def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
+def _pv(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     pv = state.site.pv
     slack = within.power_kw + within.power_share * pv.s_max_kva
     beyond = np.maximum(-row.curtailed_kw, np.abs(row.pv_q_kvar) - pv.s_max_kva)
     return worst_words("pv", pv.id, beyond - slack, beyond, "kVA")
 
 
-def _dead_parts(row: _Row, state: StepState) -> str:
+def _dead_parts(row: PlannedStep, state: StepState) -> str:
     """Customers on in parts of the feeder that nothing forms."""
     off = at_items(state.parts.dead, state.site.customer_bus)[0]
     wrong = off & (row.served > 0.0)
@@ -248,24 +205,22 @@ def _dead_parts(row: _Row, state: StepState) -> str:
     return f"fault: nothing forms the grid at {state.site.customers.id[np.argmax(wrong)]}"
 
 
-def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
+def _balance(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """Violation of the power balance of a part of the feeder; empty if there is none."""
     found = (_balance_in(row.inside(p), p.state, within) for p in parts_of_step(state))
     return next(filter(None, found), "")
 
 
-def _balance_in(row: _Row, state: StepState, within: Tolerances) -> str:
+def _balance_in(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """Violation of the import or export limit by the power balance; empty if there is none."""
     pv = state.site.pv
-    served_kw = state.load_kw * row.served
-    curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     taken += sum(float(taken_kw.sum()) for taken_kw in row.taken_kw.values())
-    given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
+    given = float(row.sun_kw(state).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
         drawn_kw = _phased_network_kw if state.site.phases else _losses_kw
-        found_kw = drawn_kw(row, curtailed, state)
+        found_kw = drawn_kw(row, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
         given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage
     if state.island and within.losses:  # what buses take that no asset draws, and what they give
@@ -284,17 +239,11 @@ def _balance_in(row: _Row, state: StepState, within: Tolerances) -> str:
     return ""
 
 
-def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
+def _phased_network_kw(row: PlannedStep, state: StepState) -> float:
     """Power that a phased feeder draws beyond its assets, in kW; 0 without a solution."""
     model = phased_model(state.site)
     source = supply_of(state)
-    p_kw, q_kvar = model.powers(
-        source,
-        load_kw=state.load_kw * row.served,
-        pv=(state.pv_kw - curtailed_kw, row.pv_q_kvar),
-        batteries=(row.discharge_kw - row.charge_kw, row.batt_q_kvar),
-        taken_kw=row.taken_kw,
-    )
+    p_kw, q_kvar = row.drawn(state, source)
     try:
         found = model.solved(source, p_kw, q_kvar)
     except NoPhasedSolutionError:
@@ -302,26 +251,10 @@ def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> flo
     return 0.0 if found is None else float(model.supplies[source].beyond(found, p_kw, q_kvar)[0][0])
 
 
-def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
+def _losses_kw(row: PlannedStep, state: StepState) -> float:
     """Losses of the flows that follow from the set-points, at the voltages of the plan."""
-    site = state.site
-    net = site.network
-    load_kw = state.load_kw * row.served
-    given = {
-        "pv": state.pv_kw - curtailed_kw,
-        "batteries": row.discharge_kw - row.charge_kw,
-        "customers": -load_kw,
-    }
-    given |= {kind: -taken_kw for kind, taken_kw in row.taken_kw.items()}
-    p_kw = bus_injections(site, given)
-    q_kvar = bus_injections(
-        site,
-        {
-            "pv": row.pv_q_kvar,
-            "batteries": row.batt_q_kvar,
-            "customers": -load_kw * site.customers.q_per_p,
-        },
-    )
+    net = state.site.network
+    p_kw, q_kvar = row.injections(state)
     # Limited, so that the losses of a plan with nonsense for voltages are still numbers.
     v_pu = np.clip(row.v_pu, net.v_min_pu, net.v_max_pu) / net.bus_ratio
     per_v2 = 1.0 / v_pu[net.parent] ** 2
@@ -338,7 +271,7 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
 
 
 def _voltage(
-    row: _Row, state: StepState, limits_pu: tuple[Floats, Floats], within: Tolerances
+    row: PlannedStep, state: StepState, limits_pu: tuple[Floats, Floats], within: Tolerances
 ) -> str:
     """Voltages of the plan; those without control are known no better than a linear model is."""
     lowest, highest = limits_pu

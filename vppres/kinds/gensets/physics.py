@@ -79,19 +79,28 @@ class SetsAhead(UnitsAhead):
         """Window without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
 
-    def holding(self, sets: Gensets, part: Wholes) -> Self:
-        """Window in which the largest set with fuel holds its part: one of several."""
-        able = sets.grid_forming & (self.added_litres.sum(axis=0) > 0.0)
+    def holding(self, sets: Gensets, part: Wholes, dt_h: float) -> Self:
+        """Window in which the largest set that can run in a step holds its part: one of several.
+
+        It can if it may be on, and has had fuel for a step at its least power by then.
+        """
+        had_litres = np.minimum(np.cumsum(self.added_litres, axis=0), sets.tank_litres)
+        able = sets.grid_forming & self.can_run & self.rested
+        able &= had_litres >= sets.least_litres(dt_h)
         holds = np.zeros_like(self.forms)
         for t, numbers in enumerate(part):
-            for number in np.unique(numbers[able & (numbers >= 0)]):
-                inside = able & (numbers == number)
+            for number in np.unique(numbers[able[t] & (numbers >= 0)]):
+                inside = able[t] & (numbers == number)
                 holds[t, np.argmax(np.where(inside, sets.p_max_kw, -1.0))] = True
         return replace(self, holds=holds)
 
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, G)."""
         return self.forms
+
+    def holding_steps(self) -> Flags:
+        """Steps in which each holds a part if it runs, (W, G)."""
+        return self.holds
 
     def kept_kw(self) -> Floats:
         """Headroom of the set that forms the grid, (W, G)."""
@@ -170,14 +179,16 @@ class SetsAhead(UnitsAhead):
     def beside(
         self, sets: Gensets, wanted_kw: Floats, island: bool, dt_h: float
     ) -> tuple[Floats, Flags]:
-        """Sets that are on or form the grid, and have fuel, near what they are to give."""
-        forms = self.forms[0]
+        """Sets that are on or form an island or part, and have fuel, near what they are to give."""
+        forms, holds = self.forms[0], self.holds[0]
         litres_per_h = np.minimum(self.added_litres[0], sets.tank_litres) / dt_h
         by_fuel_kw = (litres_per_h - sets.litres_per_h_idle) / sets.litres_per_kwh
         most_kw = np.minimum(sets.p_max_kw, by_fuel_kw)
+        starts = holds & ~forms & (self.was_on[0] < 0.5)
+        most_kw = np.where(starts, np.minimum(most_kw, sets.first_kw(dt_h)), most_kw)
         fallen_kw = np.where(forms, 0.0, self.was_kw[0] - sets.fall_kw(dt_h))
         least_kw = np.maximum(sets.p_min_kw, fallen_kw)
-        wanted = (self.was_on[0] > 0.5) | forms
+        wanted = (self.was_on[0] > 0.5) | forms | holds
         in_use = island | ~sets.only_in_outage | self.must_run[0]
         on = wanted & in_use & self.can_run[0] & (most_kw >= least_kw)
         return -np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0), on

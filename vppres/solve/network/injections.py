@@ -168,13 +168,16 @@ class Injections:
         data = self.data
         held_kwh = site.batteries.energy_kwh.sum()
         missing_kwh = 0.0 if data.terminal is None else data.terminal.target_kwh(site.batteries)
-        limits: dict[str, tuple[float, Floats | float]] = {
+        limits: dict[str, tuple[Floats | float, Floats | float]] = {
             "P_grid": (0.0, data.grid_p_max_kw(site)),
             "P_out": (0.0, data.export_max_kw(site)),
             "P_curt": (0.0, data.pv_kw),
+            "P_self": (0.0, data.pv_kw),
+            "P_exp": (0.0, data.pv_kw),
             "E_missing": (0.0, missing_kwh),
             "E_stored": (0.0, held_kwh),
             "kept": data.kept_range(site),
+            "P_over": (-self._all_kw, self._all_kw),
         }
         for name in limits.keys() & self.problem.first.keys():
             lower[self.at(name)], upper[self.at(name)] = limits[name]
@@ -182,6 +185,18 @@ class Injections:
         radius = self.discs.upper[::3].reshape(of_discs.shape, order="F")
         lower[of_discs], upper[of_discs] = -radius, radius
         return lower, upper
+
+    @property
+    def _all_kw(self) -> Floats:
+        """Power that no line exceeds: all that is ever taken and given, (W, 1)."""
+        data, site, kinds = self.data, self.site, self.site.kinds
+        all_kw: Floats = data.most_load_kw(site).sum(axis=1) + data.pv_kw.sum(axis=1)
+        all_kw = all_kw + 2.0 * site.batteries.p_max_kw.sum()
+        all_kw = sum(data.ahead.most_taken_kw(kinds), start=all_kw)
+        all_kw = sum(data.ahead.most_given_kw(kinds), start=all_kw)
+        if data.drawn is not None:
+            all_kw = all_kw + np.abs(data.drawn.kw).sum(axis=1)
+        return np.asarray(all_kw)[:, None]
 
     @property
     def size(self) -> int:

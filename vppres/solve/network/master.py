@@ -45,11 +45,10 @@ def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: weights and the price of switching on a grid.
 
     Service is counted in whole units here, so none of it may be later service. With rules all sets
-    come from the search with binaries. The power over lines that are out, by which parts of
-    feeders with phases are stated, has no limits here.
+    come from the search with binaries.
     """
     unit = weight_grid(site.customers.weight * site.dt_h)
-    if unit == 0.0 or data.keeps_service or (data.phased is not None and not data.parts.whole):
+    if unit == 0.0 or data.keeps_service:
         return False
     if data.switching is None:
         return True
