@@ -290,12 +290,21 @@ class NetworkMaster:
         return np.flatnonzero(linear.row_dual[len(program.lower) :])
 
     def least_cost(self, units_min: float) -> Outcome:
-        """Lower bound on the cost of all sets with so many units, in GBP."""
+        """Lower bound on the cost of all sets with so many units, in GBP.
+
+        Limits that have a price there become known: most of what a search without them finds would
+        violate them. Those that other solutions violate on the way would only slow it.
+        """
         watch = Stopwatch()
-        found = self._until_carried(self.network.loaded(self._enough(units_min)), self.deadline)
+        before = self.network.limits
+        program = self._enough(units_min)
+        found = self._until_carried(self.network.loaded(program), self.deadline)
+        if found.status == Status.OPTIMAL and self.network.limits > before:
+            kept = np.union1d(np.arange(before), self._priced(program, found))
+            self.network.found = [Rows.joined(self.network.found).part(kept)]
         return found.outcome(watch.spent_s)
 
-    def cost_level(
+    def cheaper(
         self,
         units_min: float,
         known: Flags,
@@ -313,12 +322,10 @@ class NetworkMaster:
         x = self.model.at("x_served")
         best = None
         size = -1
+        bound = -np.inf
         program = self._enough(units_min)
-        bound = self._least_by_shares(program, deadline)
-        while (
-            known_gbp - bound > gap_gbp and not deadline.passed and len(self.network.found) > size
-        ):
-            size = len(self.network.found)
+        while known_gbp - bound > gap_gbp and not deadline.passed and self.network.limits > size:
+            size = self.network.limits
             counted = self._counted(program, self.network.found)
             solver = counted.loaded(0.5 * gap_gbp, NODES, more=self._options)
             begin_with(solver, x, known if best is None else best)
@@ -340,23 +347,9 @@ class NetworkMaster:
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
-    def _least_by_shares(self, program: Program, deadline: Deadline) -> float:
-        """Least cost of shares of customers, in GBP; limits that have a price there become known.
-
-        Most of what a search without them finds would violate them. Those that its other solutions
-        violate on the way would only slow it.
-        """
-        before = self.network.limits
-        shares = self._until_carried(self.network.loaded(program), deadline)
-        if shares.status != Status.OPTIMAL:
-            return -np.inf
-        if self.network.limits > before:
-            kept = np.union1d(np.arange(before), self._priced(program, shares))
-            self.network.found = [Rows.joined(self.network.found).part(kept)]
-        return shares.value
-
     def _enough(self, units_min: float) -> Program:
-        """Least cost of so many units."""
+        """Least cost of so many units, rounded up to a whole number."""
+        units_min = float(np.ceil(units_min - SOLVED))
         columns, lack = self.lack
         size = len(self.network.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - SOLVED, np.inf, size)
