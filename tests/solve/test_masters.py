@@ -33,6 +33,7 @@ from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.levels import service_then_cost
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, NetworkMaster
 from vppres.solve.programs import (
@@ -286,7 +287,7 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
-    dispatch = master.cheapest(served, Deadline(TIME_S))[1]
+    dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert dispatch is not None
     # Everything is free here: only what has a value is a reason to pass the sun on.
     assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
@@ -385,7 +386,7 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scen
     master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
-    before = master.cheapest(served, Deadline(TIME_S))[1]
+    before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert before is not None
     outcome, after = least_reactive(shared_cache(site), data, before, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL

@@ -115,5 +115,7 @@ def _least_cost(task: WindowTask, relaxation: Relaxation, best: Candidate) -> No
     outcome, served = relaxation.cheaper(units_min, everyone, best, gap_gbp, deadline)
     known.note(f"{relaxation.stage}cost_level", outcome)
     prove(outcome)
-    if served is not None and outcome.value < best.terms.f2:
+    if served is None or (served == best.dispatch.served).all():
+        return
+    if outcome.value < best.terms.f2:
         relaxation.keep(served)

@@ -13,10 +13,9 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
     carried,
+    cheapest_by_rows,
     dispatch_of,
-    netted,
     tie_breakers,
-    ways_of_rows,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.fleet.rungs import with_modes_of_batteries
@@ -181,6 +180,6 @@ class InNetwork:
 
     def keep(self, served: Flags, charges: Flags | None = None) -> None:
         """Keep a set's cheapest dispatch, with the tie-breakers if they find one, if it is best."""
-        task = self.task
-        found = netted(task, *self.master.cheapest(served, task.answer_by(), charges))
-        task.certificate.keep(found and carried(task, found, *ways_of_rows(task)))
+        task, network = self.task, self.master.network
+        found = cheapest_by_rows(task, served, task.answer_by(), charges, network=network)[1]
+        task.certificate.keep(found)

@@ -10,7 +10,6 @@ from typing import Any
 import highspy
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.parts import at_items
@@ -18,7 +17,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
-from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
+from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.programs import (
@@ -354,20 +353,6 @@ class NetworkMaster:
         size = len(self.network.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - SOLVED, np.inf, size)
         return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
-
-    def cheapest(
-        self, served: Flags, deadline: Deadline, charges: Flags | None = None
-    ) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a supply schedule, within the discs.
-
-        With the set its rules are met, and what it draws is known. ``charges`` says which
-        batteries charge where they waste energy, (W, B), if that is known.
-        """
-        if self.data.switching is None:
-            way = CheapestDispatch(self.site, self.data, self.network)
-        else:
-            way = CheapestDispatch.of_set(self.cache, self.data, served)
-        return way.of(served, deadline, charges)
 
     def _until_carried(
         self,
