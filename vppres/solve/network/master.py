@@ -183,19 +183,26 @@ class NetworkMaster:
         A search with binaries has the limits that had a price in a linear solution so far: most of
         the others never bind, and make every node slower. Its set goes to the linear problem in
         which no customer is supplied beyond it. What that serves in full is carried, and its prices
-        forbid the set if that is less than all.
+        forbid the set if that is less than all. A set that closes the search, and the best at its
+        end, is put to the true discs.
         """
         binding = self._priced(self.network.program, self.root[1])
         while not known.closed() and not deadline.passed:
-            enough = known.most
             known.take(self._searched(binding, known.bound, known.best, deadline))
             if known.closed():
-                return
-            linear = self._tried(known.tried, enough)
+                if known.best is None:
+                    return
+                known.tried, known.best, known.most = known.best, None, -np.inf
+            linear = self._tried(known.tried, known.most, known.bound)
             if linear.status != Status.OPTIMAL:
-                return
+                break
             known.improve(*self._carried(linear))
             binding = np.union1d(binding, self._priced(self.network.program, linear))
+        if known.best is not None and not known.closed():
+            linear = self._tried(known.best, -np.inf)
+            if linear.status == Status.OPTIMAL:
+                known.most = -np.inf
+                known.improve(*self._carried(linear))
 
     def carries(self, served: Flags) -> bool:
         """Whether the relaxation in the network serves a set in full."""
@@ -213,15 +220,16 @@ class NetworkMaster:
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         return solver
 
-    def _tried(self, served: Floats, enough: float) -> ProgramSolution:
+    def _tried(self, served: Floats, enough: float, goal: float = -np.inf) -> ProgramSolution:
         """Most service if no customer is supplied beyond a schedule.
 
-        Discs come nearer to the true ones as long as more units than enough are served in full.
+        It need not be known where no more units than enough are served in full. From the goal on
+        discs are the true ones.
         """
         solver = self._at_most(served)
         for over in DISCS:
             linear = self._until_carried(solver, self.deadline, over, worth=enough)
-            if linear.status != Status.OPTIMAL or self.units @ self._in_full(linear) <= enough:
+            if linear.status != Status.OPTIMAL or self.units @ self._in_full(linear) < goal:
                 break
         return linear
 
