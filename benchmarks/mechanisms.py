@@ -11,8 +11,8 @@ import numpy as np
 import vppres.solve.ladder  # noqa: F401 (the names below are looked up in what it imports)
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
-from vppres.solve.certificate import Candidate
 from vppres.solve.programs import PROOF
+from vppres.solve.result import Outcome, Status
 
 SOLVE = "vppres.solve."
 
@@ -51,9 +51,9 @@ def every_battery(data: WindowData) -> tuple[bool, ...]:
     return (len(data.soc) == 0,)
 
 
-def as_found(_: object, found: Candidate) -> Candidate:
-    """The dispatch that there is."""
-    return found
+def no_search(*_: object) -> tuple[Outcome, None]:
+    """Finds no set, and proves nothing."""
+    return Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None
 
 
 def no_options(*_: object) -> Mapping[str, Any]:
@@ -98,8 +98,8 @@ MECHANISMS = (
     ),
     Mechanism(
         "cheaper set in the network",
-        {"network.decide.InNetwork._cheaper": as_found},
-        ("network.decide.InNetwork._cheaper", "network.master.NetworkMaster.cost_level"),
+        {"network.decide.InNetwork.cheaper": no_search},
+        ("network.decide.InNetwork.cheaper", "network.master.NetworkMaster.cheaper"),
     ),
     Mechanism(
         "options of HiGHS",

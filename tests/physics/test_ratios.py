@@ -28,6 +28,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.result import Status
 
@@ -220,7 +221,9 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data).dispatch
     master = NetworkMaster(ModelCache(site), case.data, Deadline(20.0))
-    outcome, dispatch = master.cheapest(answer.served, Deadline(20.0))
+    outcome, dispatch = CheapestDispatch(site, case.data, master.network).of(
+        answer.served, Deadline(20.0)
+    )
     assert outcome.status == Status.OPTIMAL and dispatch is not None
     assert check_dispatch(*case, dispatch).worst[1] <= CHECKER_TOLERANCE
     assert outcome.value <= case.data.price_gbp_per_kwh @ answer.p_grid_kw * site.dt_h + 1e-5

@@ -189,18 +189,17 @@ def test_no_time_to_compile_is_no_numerical_trouble(monkeypatch: pytest.MonkeyPa
 def test_a_bound_whose_search_ran_out_of_time_is_not_called_optimal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The bound by shares of customers stands, and the gap of cost that it leaves."""
     site = Site.of(packaged())
-    data = window_data(instance("o040"))
-    spec = find_solver("highs")
-    master = Master(ModelCache(site), data, spec, Deadline(60.0), lumped=True, stepwise=True)
-    most, _ = master.service(0.0)
-    linear, _ = master.cost(most.value, False, np.inf, np.inf)
+    data = window_data(instance("o041"))
+    solver = WindowSolver(site, limits=SolveLimits(time_s=60.0))
+    found = solver.solve(data)
 
-    def no_search(*_: object, **__: object) -> Outcome:
-        return Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+    def no_search(*_: object) -> tuple[Outcome, None]:
+        return Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0, "highs"), None
 
-    monkeypatch.setattr("vppres.solve.fleet.masters.search_for_set", no_search)
-    outcome, served = master.cost(most.value, False, known_gbp=1e6, gap_gbp=1e-3)
-    assert outcome.status == Status.TIME_LIMIT
-    assert outcome.bound == pytest.approx(linear.bound)
-    assert served is None
+    monkeypatch.setattr(Master, "cheaper", no_search)
+    open_ = solver.solve(data)
+    assert "cost_level[highs]:no_answer" in open_.stages
+    assert open_.terms.f1 == pytest.approx(found.terms.f1)
+    assert found.cost_gap_gbp < open_.cost_gap_gbp < open_.terms.f2

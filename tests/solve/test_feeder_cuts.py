@@ -19,6 +19,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.netting import net_modes
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.large import (
     SHARED,
     Feeders,
@@ -120,7 +121,7 @@ def cheapest_of_large(
     assert served is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     master = master_in_network(ModelCache(site), data, Deadline(TIME_S))
-    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
+    outcome, dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     assert dispatch is not None
     return master, dispatch
@@ -202,4 +203,7 @@ def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
     assert outcome.bound == usual.bound
     assert outcome.value == usual.value
     for master, found in ((exact, served), (rough, same)):
-        assert master.cheapest(found, Deadline(TIME_S))[0].status == Status.OPTIMAL
+        assert (
+            CheapestDispatch(site, data, master.network).of(found, Deadline(TIME_S))[0].status
+            == Status.OPTIMAL
+        )

@@ -27,13 +27,14 @@ from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Certificate
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import CostLevel, least_reactive
 from vppres.solve.fleet.masters import Master, master_of
 from vppres.solve.fleet.relaxation import fleet_problem
-from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.forms import Form
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.levels import service_then_cost
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, NetworkMaster
 from vppres.solve.programs import (
@@ -130,7 +131,8 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
 
 def master_of_fleet(site: Site, data: WindowData, lumped: bool = True) -> Master:
     """The master without the network, which asks one battery first."""
-    return Master(shared_cache(site), data, SPEC[0], Deadline(TIME_S), lumped, stepwise=True)
+    task = WindowTask.begin(data, shared_cache(site), SolveLimits(time_s=TIME_S), *SPEC)
+    return Master(task, lumped, stepwise=True)
 
 
 @pytest.mark.parametrize("lumped", [True, False])
@@ -143,7 +145,7 @@ def test_no_bound_of_the_fleet_excludes_what_can_be_dispatched(seed: int, lumped
     outcome, _ = master.service(0.1)
     service = answer.terms.f1 - site.weights.lambda_curt * answer.terms.f3
     assert outcome.bound * master.unit >= service - 1e-6
-    least, _ = master.cost(service / master.unit - 1e-3, False, np.inf, np.inf)
+    least = master.least_cost(service / master.unit - 1e-3, everyone=False)
     assert least.bound <= answer.terms.f2 + 1e-4
 
 
@@ -154,7 +156,7 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     cost_gbp = WindowSolver(site).solve(data).terms.f2
     master = master_of_fleet(site, data)
     everyone = packaged.customers.weight.sum() * 6 / master.unit
-    outcome, _ = master.cost(everyone - 1e-6, True, np.inf, np.inf)
+    outcome = master.least_cost(everyone - 1e-6, everyone=True)
     assert outcome.bound <= cost_gbp
     assert outcome.bound == pytest.approx(cost_gbp, rel=3e-6)  # the tie-breakers spend 1e-6 of it
 
@@ -207,24 +209,23 @@ def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch, certified: bool
 ) -> None:
     left_s = []
-    cost = Master.cost
+    cheaper = Master.cheaper
 
     def timed(self: Master, *given: Any) -> object:
-        left_s.append(self.deadline.left_s)
-        return cost(self, *given)
+        left_s.append(given[-1].left_s)
+        return cheaper(self, *given)
 
-    monkeypatch.setattr(Master, "cost", timed)
+    monkeypatch.setattr(Master, "cheaper", timed)
     monkeypatch.setattr(Certificate, "certified", certified)
     data = day_window(packaged, 10, 8, 0.5)
     limits = SolveLimits(time_s=100.0)
     task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
-    master = master_of(task, True, task.search)
+    master = master_of(task, True)
     assert master is not None
     service_then_cost(task, master)
     search_s = 100.0 * (1.0 - NETWORK_RESERVE)
-    share = COST_SHARE if certified else 1.0
+    share = COST_SHARE if certified else HALF
     assert left_s[0] == pytest.approx(share * search_s, abs=5.0)
-    assert master.deadline is task.search
 
 
 def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> None:
@@ -288,7 +289,7 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
-    dispatch = master.cheapest(served, Deadline(TIME_S))[1]
+    dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert dispatch is not None
     # Everything is free here: only what has a value is a reason to pass the sun on.
     assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
@@ -298,16 +299,16 @@ def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
     heavy: Scenario,
 ) -> None:
     data = day_window(heavy, 17, 3, 0.3)
-    site = Site.of(heavy)
     known, everything = (
-        NetworkMaster(shared_cache(site), data, Deadline(TIME_S)) for _ in range(2)
+        NetworkMaster(shared_cache(Site.of(heavy)), data, Deadline(TIME_S)) for _ in range(2)
     )
     units = known.most_units - 1.0
     assert everything.most_units == known.most_units
-    bound = known._least_by_shares(known._enough(units), Deadline(TIME_S))
+    least = known.least_cost(units)
     again = ProgramSolution.of(known.network.loaded(known._enough(units)), Deadline(TIME_S))
-    least = everything.least_cost(units)
-    assert bound == pytest.approx(again.value) == pytest.approx(least.value)
+    enough = everything.network.loaded(everything._enough(units))
+    found = everything._until_carried(enough, Deadline(TIME_S))
+    assert least.value == pytest.approx(again.value) == pytest.approx(found.value)
     assert known.network.limits < everything.network.limits
 
 
@@ -387,7 +388,7 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scen
     master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
-    before = master.cheapest(served, Deadline(TIME_S))[1]
+    before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert before is not None
     outcome, after = least_reactive(shared_cache(site), data, before, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL

@@ -54,6 +54,7 @@ from vppres.solve.dispatch import least_reactive
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.netting import net_modes
+from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.programs import Program
@@ -138,7 +139,7 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
             continue
         master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
         served = WindowSolver(site).solve(data).dispatch.served
-        before = master.cheapest(served, Deadline(TIME_S))[1]
+        before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
         if before is None:
             continue
         before, _ = net_modes(site, data, before)

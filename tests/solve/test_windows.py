@@ -475,7 +475,7 @@ def test_stages_name_the_solver_of_each(packaged: Scenario) -> None:
     solvers = dict(
         re.fullmatch(r"(\w+)\[(\w+)\](?::\w+)?", stage).groups() for stage in answer.stages
     )
-    assert solvers["service"] == solvers["cost_level"] == solvers["cost"] == "scip"
+    assert solvers["service"] == solvers["least_cost"] == solvers["cost"] == "scip"
     assert solvers["tie_breakers"] == "clarabel"
 
 

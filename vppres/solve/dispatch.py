@@ -34,6 +34,7 @@ from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.limits import run_within_limits
 from vppres.solve.netting import eased_soc, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
+from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, with_more_room
 from vppres.solve.programs import GAP_SHARE
@@ -153,11 +154,10 @@ def _ways(
     if task.by_rows:
         if charges is None and before is not None:
             charges = before.charge_kw > before.discharge_kw
-        way = CheapestDispatch.of_set(task.cache, task.data, served)
+        deadline = task.answer_by(HALF)
         kept = before if keeps_turns else None
-        outcome, dispatch = way.of(served, task.answer_by(HALF), charges, kept)
-        found = netted(task, outcome, dispatch)
-        yield found and carried(task, found, *ways_of_rows(task))
+        outcome, found = cheapest_by_rows(task, served, deadline, charges, kept)
+        yield found
         if keeps_turns or (found is None and outcome.status == Status.INFEASIBLE):
             return
     elif keeps_turns:
@@ -189,14 +189,34 @@ def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
     return cheapest(task, before.served, modes=turns | switched)
 
 
-def netted(task: WindowTask, outcome: Outcome, dispatch: Dispatch | None) -> Candidate | None:
-    """Dispatch of a linear problem in the network; None if batteries must take turns."""
-    task.certificate.note("network_dispatch", outcome)
+def cheapest_by_rows(
+    task: WindowTask,
+    served: Flags,
+    deadline: Deadline,
+    charges: Flags | None = None,
+    kept: Dispatch | None = None,
+    network: NetworkProgram | None = None,
+) -> tuple[Outcome, Candidate | None]:
+    """Cheapest dispatch of a supply schedule in the network, whose limits are rows as needed.
+
+    With the schedule its rules are met, and what it draws is known. ``network`` has limits that are
+    known; with rules they are those of another demand.
+    """
+    site, known = task.site, task.certificate
+    if network is None or task.data.switching is not None:
+        way = CheapestDispatch.of_set(task.cache, task.data, served)
+    else:
+        way = CheapestDispatch(site, task.data, network)
+    outcome, dispatch = way.of(served, deadline, charges, kept)
+    known.note("network_dispatch", outcome)
     if dispatch is None:
-        return None
-    data = task.data.for_service(dispatch.served)
-    dispatch, fits = net_modes(task.site, data, dispatch)
-    return Candidate.of(task.site, data, dispatch, 0.0, in_network=False) if fits else None
+        return outcome, None
+    data = task.data.for_service(served)
+    dispatch, fits = net_modes(site, data, dispatch)
+    if not fits:  # batteries must take turns
+        return outcome, None
+    found = Candidate.of(site, data, dispatch, 0.0, in_network=False)
+    return outcome, carried(task, found, *ways_of_rows(task))
 
 
 def cheapest(

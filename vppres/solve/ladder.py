@@ -37,11 +37,11 @@ from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     everyone_served,
-    service_then_cost,
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.forms import by_phase, own_of
+from vppres.solve.levels import service_then_cost
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import (
     decide_at_once,
@@ -432,7 +432,7 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
 
 def _by_levels(task: WindowTask, lumped: bool) -> None:
     """Service, then cost, by a master that may not apply."""
-    master = master_of(task, lumped, task.search)
+    master = master_of(task, lumped)
     if master is not None:
         service_then_cost(task, master)
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
-from vppres.solve.cache import ModelCache
+from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.recursion import most_units
 from vppres.solve.fleet.relaxation import (
     FleetProblem,
@@ -52,14 +53,8 @@ class Master:
 
     Parameters
     ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
+    task : WindowTask
         The window.
-    spec : SolverSpec
-        Solves it.
-    deadline : Deadline
-        When service and cost must be done; a caller may set it anew.
     lumped : bool
         Whether the fleet is one battery.
     stepwise : bool
@@ -71,22 +66,19 @@ class Master:
         Granularity of the weights.
     """
 
-    def __init__(
-        self,
-        cache: ModelCache,
-        data: WindowData,
-        spec: SolverSpec,
-        deadline: Deadline,
-        lumped: bool,
-        stepwise: bool,
-    ) -> None:
-        self.cache = cache
-        self.data = data
-        self.spec = spec
-        self.deadline = deadline
+    stage = ""
+    is_last = False
+    searches_cost = True
+
+    def __init__(self, task: WindowTask, lumped: bool, stepwise: bool) -> None:
+        self.task = task
+        self.cache = task.cache
+        self.data = task.data
+        self.spec = task.spec
+        self.deadline = task.search
         self.lumped = lumped
         self.stepwise = stepwise
-        self.unit = weight_grid(cache.site.customers.weight * cache.site.dt_h)
+        self.unit = weight_grid(task.site.customers.weight * task.site.dt_h)
         self.best: Flags | None = None
 
     @property
@@ -145,24 +137,25 @@ class Master:
         outcome = run(problem, self.spec, WHOLE_GAP, self.deadline.left_s)
         return outcome.status == Status.OPTIMAL and outcome.value > units - HALF_UNIT
 
-    def cost(
-        self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
-    ) -> tuple[Outcome, Flags | None]:
-        """Least cost of all sets with so many units; the LP relaxation first, which may do."""
+    def least_cost(self, units_min: float, everyone: bool) -> Outcome:
+        """Least cost of shares of customers with so many units."""
         relaxed = self._with_units(units_min, everyone, integer=False)
-        bound = run(relaxed, self.spec, 0.0, self.deadline.left_s, more=self._options)
-        near = not np.isfinite(gap_gbp) or bound.bound >= known_gbp - gap_gbp
-        if near or bound.status != Status.OPTIMAL:
-            return bound, None
+        return run(relaxed, self.spec, 0.0, self.deadline.left_s, more=self._options)
+
+    def cheaper(
+        self, units_min: float, everyone: bool, best: Candidate, gap_gbp: float, deadline: Deadline
+    ) -> tuple[Outcome, Flags | None]:
+        """Least cost of all sets with so many units."""
         problem = self._with_units(units_min, everyone, integer=True)
-        left_s = self.deadline.left_s
         more = {**self._options, "mip_max_nodes": NODES}
         outcome = search_for_set(
-            problem, self.data, self.spec, gap_gbp, left_s, first=self.best, more=more
+            problem, self.data, self.spec, gap_gbp, deadline.left_s, first=self.best, more=more
         )
-        if not outcome.status.has_answer:
-            return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, set_of(problem, outcome)
+
+    def keep(self, served: Flags) -> None:
+        """Keep the dispatch of a set without the network if it is the best so far."""
+        keep_dispatch(self.task, served)
 
     def _with_units(self, units_min: float, everyone: bool, integer: bool) -> FleetProblem:
         """The relaxation of all sets with so many units."""
@@ -195,7 +188,7 @@ def search_for_set(
     return run(problem, spec, gap_abs, time_s, scale, options, first)
 
 
-def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
+def master_of(task: WindowTask, lumped: bool) -> Master | None:
     """The master of a window, with one equivalent battery or every battery; None without a grid.
 
     One battery knows no rules and nothing beyond the paper, and is asked once.
@@ -204,10 +197,8 @@ def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | No
     if lumped not in task.masters:
         plain = data.switching is None and data.parts.whole
         plain = plain and not task.own and not data.keeps_service
-        stepwise = plain and lumped == fleets_of(data)[0]
-        task.masters[lumped] = Master(task.cache, data, task.spec, deadline, lumped, stepwise)
+        task.masters[lumped] = Master(task, lumped, plain and lumped == fleets_of(data)[0])
     master = task.masters[lumped]
-    master.deadline = deadline
     return master if master.applies else None
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import highspy
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.parts import at_items
@@ -18,7 +17,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
-from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
+from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.programs import (
@@ -182,19 +181,26 @@ class NetworkMaster:
         A search with binaries has the limits that had a price in a linear solution so far: most of
         the others never bind, and make every node slower. Its set goes to the linear problem in
         which no customer is supplied beyond it. What that serves in full is carried, and its prices
-        forbid the set if that is less than all.
+        forbid the set if that is less than all. A set that closes the search, and the best at its
+        end, is put to the true discs.
         """
         binding = self._priced(self.network.program, self.root[1])
         while not known.closed() and not deadline.passed:
-            enough = known.most
             known.take(self._searched(binding, known.bound, known.best, deadline))
             if known.closed():
-                return
-            linear = self._tried(known.tried, enough)
+                if known.best is None:
+                    return
+                known.tried, known.best, known.most = known.best, None, -np.inf
+            linear = self._tried(known.tried, known.most, known.bound)
             if linear.status != Status.OPTIMAL:
-                return
+                break
             known.improve(*self._carried(linear))
             binding = np.union1d(binding, self._priced(self.network.program, linear))
+        if known.best is not None and not known.closed():
+            linear = self._tried(known.best, -np.inf)
+            if linear.status == Status.OPTIMAL:
+                known.most = -np.inf
+                known.improve(*self._carried(linear))
 
     def carries(self, served: Flags) -> bool:
         """Whether the relaxation in the network serves a set in full."""
@@ -212,15 +218,16 @@ class NetworkMaster:
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         return solver
 
-    def _tried(self, served: Floats, enough: float) -> ProgramSolution:
+    def _tried(self, served: Floats, enough: float, goal: float = -np.inf) -> ProgramSolution:
         """Most service if no customer is supplied beyond a schedule.
 
-        Discs come nearer to the true ones as long as more units than enough are served in full.
+        It need not be known where no more units than enough are served in full. From the goal on
+        discs are the true ones.
         """
         solver = self._at_most(served)
         for over in DISCS:
             linear = self._until_carried(solver, self.deadline, over, worth=enough)
-            if linear.status != Status.OPTIMAL or self.units @ self._in_full(linear) <= enough:
+            if linear.status != Status.OPTIMAL or self.units @ self._in_full(linear) < goal:
                 break
         return linear
 
@@ -288,12 +295,21 @@ class NetworkMaster:
         return np.flatnonzero(linear.row_dual[len(program.lower) :])
 
     def least_cost(self, units_min: float) -> Outcome:
-        """Lower bound on the cost of all sets with so many units, in GBP."""
+        """Lower bound on the cost of all sets with so many units, in GBP.
+
+        Limits that have a price there become known: most of what a search without them finds would
+        violate them. Those that other solutions violate on the way would only slow it.
+        """
         watch = Stopwatch()
-        found = self._until_carried(self.network.loaded(self._enough(units_min)), self.deadline)
+        before = self.network.limits
+        program = self._enough(units_min)
+        found = self._until_carried(self.network.loaded(program), self.deadline)
+        if found.status == Status.OPTIMAL and self.network.limits > before:
+            kept = np.union1d(np.arange(before), self._priced(program, found))
+            self.network.found = [Rows.joined(self.network.found).part(kept)]
         return found.outcome(watch.spent_s)
 
-    def cost_level(
+    def cheaper(
         self,
         units_min: float,
         known: Flags,
@@ -311,12 +327,10 @@ class NetworkMaster:
         x = self.model.at("x_served")
         best = None
         size = -1
+        bound = -np.inf
         program = self._enough(units_min)
-        bound = self._least_by_shares(program, deadline)
-        while (
-            known_gbp - bound > gap_gbp and not deadline.passed and len(self.network.found) > size
-        ):
-            size = len(self.network.found)
+        while known_gbp - bound > gap_gbp and not deadline.passed and self.network.limits > size:
+            size = self.network.limits
             counted = self._counted(program, self.network.found)
             solver = counted.loaded(0.5 * gap_gbp, NODES, more=self._options)
             begin_with(solver, x, known if best is None else best)
@@ -338,41 +352,13 @@ class NetworkMaster:
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
         return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
 
-    def _least_by_shares(self, program: Program, deadline: Deadline) -> float:
-        """Least cost of shares of customers, in GBP; limits that have a price there become known.
-
-        Most of what a search without them finds would violate them. Those that its other solutions
-        violate on the way would only slow it.
-        """
-        before = self.network.limits
-        shares = self._until_carried(self.network.loaded(program), deadline)
-        if shares.status != Status.OPTIMAL:
-            return -np.inf
-        if self.network.limits > before:
-            kept = np.union1d(np.arange(before), self._priced(program, shares))
-            self.network.found = [Rows.joined(self.network.found).part(kept)]
-        return shares.value
-
     def _enough(self, units_min: float) -> Program:
-        """Least cost of so many units."""
+        """Least cost of so many units, rounded up to a whole number."""
+        units_min = float(np.ceil(units_min - SOLVED))
         columns, lack = self.lack
         size = len(self.network.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - SOLVED, np.inf, size)
         return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
-
-    def cheapest(
-        self, served: Flags, deadline: Deadline, charges: Flags | None = None
-    ) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a supply schedule, within the discs.
-
-        With the set its rules are met, and what it draws is known. ``charges`` says which
-        batteries charge where they waste energy, (W, B), if that is known.
-        """
-        if self.data.switching is None:
-            way = CheapestDispatch(self.site, self.data, self.network)
-        else:
-            way = CheapestDispatch.of_set(self.cache, self.data, served)
-        return way.of(served, deadline, charges)
 
     def _until_carried(
         self,
