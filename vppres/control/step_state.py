@@ -89,15 +89,13 @@ class StepState:
         site: Site,
         seen: Observation,
         centre: Centre = "lossless",
-        online: Flags | None = None,
         needs_former: bool = False,
     ) -> StepState:
-        """The first step of an observation; all batteries are online if nothing else is said.
+        """The first step of an observation.
 
         ``needs_former`` is as for :func:`~vppres.model.parts.parts_of`.
         """
-        able = np.ones(len(site.batteries), dtype=bool) if online is None else online
-        held = np.where(able, seen.soc, site.batteries.soc_min)
+        held = np.where(seen.online, seen.soc, site.batteries.soc_min)
         island = seen.forecast.grid_limit_kw[:1] <= 0.0
         parts = parts_of(site, seen.forecast.out.part(slice(1)), held, island, needs_former)
         everyone = np.ones((1, len(site.customers)), dtype=bool)
@@ -114,7 +112,7 @@ class StepState:
             now.eta_charge,
             now.eta_discharge,
             now.delta_pu2[0],
-            able,
+            seen.online,
             seen.forecast.export_now_kw,
             now.drawn,
             own_v_pu,

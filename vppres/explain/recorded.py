@@ -384,6 +384,7 @@ class Recorded:
             self._eta_discharge[t],
             SwitchingState.start(SwitchingRules(), self.site.dt_h, len(self.site.customers)),
             self._owed[t],
+            ~self.left_out(t),
             ahead=self._ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends),
             ends=ends,
