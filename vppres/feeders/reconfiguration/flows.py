@@ -30,25 +30,14 @@ LEAST_PU = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """Figures of each of T configurations, (T,) each; infinite losses where no flow was found.
+    """Figures of each of T configurations, (T,) each; infinite losses where no flow was found."""
 
-    Parameters
-    ----------
-    losses_kw : array
-        Active losses of all lines, and what leakage and shunts draw.
-    v_min_pu, v_max_pu : array
-        Lowest and highest voltage of a bus.
-    bus_min : array
-        Position of the bus with the lowest voltage.
-    loading : array
-        Largest current over its rating; 0 where no branch has one.
-    """
-
-    losses_kw: Floats
+    losses_kw: Floats  #: active losses of all lines, and what leakage and shunts draw
+    #: Lowest and highest voltage of a bus.
     v_min_pu: Floats
     v_max_pu: Floats
-    bus_min: Wholes
-    loading: Floats
+    bus_min: Wholes  #: position of the bus with the lowest voltage
+    loading: Floats  #: largest current over its rating; 0 where no branch has one
 
 
 class ConfigurationFlows:

@@ -22,23 +22,12 @@ from vppres.scenario.switches import Switches
 
 @dataclass(frozen=True, eq=False)
 class PartFlow:
-    """Power flow of one part of a feeder.
+    """Power flow of one part of a feeder."""
 
-    Parameters
-    ----------
-    v_pu : array, shape (N,)
-        Voltages of its buses; NaN elsewhere.
-    current_a : array, shape (E,)
-        Currents of its branches; 0 elsewhere.
-    source_kva : complex
-        What the reference bus gives beyond its own injection.
-    fullest_kva : float
-        What it would give if all its phases did what the fullest does; 0 if balanced.
-    """
-
-    v_pu: Floats
-    current_a: Floats
-    source_kva: complex
+    v_pu: Floats  #: voltages of its buses; NaN elsewhere, (N,)
+    current_a: Floats  #: currents of its branches; 0 elsewhere, (E,)
+    source_kva: complex  #: what the reference bus gives beyond its own injection
+    #: What it would give if all its phases did what the fullest does; 0 if balanced.
     fullest_kva: float = 0.0
 
 
