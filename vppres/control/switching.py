@@ -84,18 +84,8 @@ class Begin:
 class Switching(InConfiguration):
     """Decides on switches, then as the controller of the configuration.
 
-    Parameters
-    ----------
-    day, controller_of, site_of, given
-        As those of :class:`InConfiguration`.
-    solver_of : callable or None
-        Makes the solver of bounds of a site; None where plans have other weights than it.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    limits : SolveLimits
-        Gap and time of a step.
-    within : Tolerances, optional
-        What a decision may be off by.
+    Parameters are those of :class:`InConfiguration`, but that ``solver_of`` is None where plans
+    have other weights than the site.
 
     Attributes
     ----------
@@ -444,22 +434,8 @@ class Switching(InConfiguration):
 class Search:
     """The best configuration of a step, and what is proven of all others.
 
-    Parameters
-    ----------
-    of : Switching
-        Plans and bounds.
-    observation : Observation
-        What is known.
-    stay : Planned
-        The plan in the present configuration.
-    before : dict
-        Memory of its controller before the step.
-    begin : Begin
-        State from which operations begin.
-    limits : SolveLimits
-        Gap.
-    deadline : Deadline
-        When the step must be decided.
+    ``stay`` is the plan in the present configuration, and ``before`` the memory of its controller
+    before the step; operations begin from ``begin``.
     """
 
     def __init__(

@@ -55,13 +55,6 @@ class Slopes:
     Nothing is kept of all voltages and assets: what powers change is one solution of the network's
     equations, and so is a row of factors for one voltage.
 
-    Parameters
-    ----------
-    flow : PhasedFlow
-        The network with the source.
-    loadings : Loadings
-        Currents that have a rating.
-
     Attributes
     ----------
     former_p, former_q : array, shape (3, D)

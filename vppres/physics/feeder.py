@@ -30,14 +30,7 @@ TOLERANCE_KVA = 1e-3
 class FlowByPhase:
     """Power flow of a feeder with phases.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its network as a tree of buses, and its devices.
-    phases : Phases
-        Its phases.
-    buses : array of bool, shape (N,), optional
-        Buses of a part of the feeder, beyond which nothing draws or gives; all if not given.
+    Beyond the ``buses`` of a part of the feeder, (N,), nothing draws or gives.
     """
 
     def __init__(self, scenario: Scenario, phases: Phases, buses: Flags | None = None) -> None:
@@ -152,15 +145,7 @@ class FlowByPhase:
 
 
 class FlowOfPart(ACPowerFlow):
-    """Power flow of a part of a balanced feeder.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    buses, lines : array of bool, shape (N,), (L,)
-        Those of the part.
-    """
+    """Power flow of a part of a balanced feeder."""
 
     def __init__(self, network: Network, buses: Flags, lines: Flags) -> None:
         super().__init__(network.drawing_inside(buses, lines))

@@ -127,16 +127,7 @@ class Balance:
 class IslandPlant:
     """Plant of an island's step.
 
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    flow : PowerFlow
-        Power flow of its feeder.
-    inside : PartOfPlant, optional
-        Devices of the island, where it is a part of the feeder; all if not given.
-    where : str, optional
-        Which part it is, in words.
+    Of a part of the feeder it has the devices ``inside``; ``where`` says in words which part it is.
     """
 
     def __init__(

@@ -34,13 +34,7 @@ class SettledPart:
 
 
 class PlantInParts:
-    """Plant of steps in which lines are out.
-
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    """
+    """Plant of steps in which lines are out."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant

@@ -110,14 +110,7 @@ class Realised:
 class Plant:
     """The actual day of a scenario.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The actual series and the assets.
-    thermal : ThermalScheme
-        How the batteries' temperature and efficiencies evolve.
-    rules : SwitchingRules, optional
-        How demand behaves after a restoration; nothing else of them matters here.
+    Of the switching rules it has how demand behaves after a restoration.
     """
 
     def __init__(

@@ -21,11 +21,6 @@ class ModelCache:
 
     The cache knows no problem: the caller says what makes it. A problem is filled
     completely before every solve, so nothing leaks from one window into the next.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
     """
 
     def __init__(self, site: Site) -> None:

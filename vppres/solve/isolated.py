@@ -280,10 +280,7 @@ def _signal_name(number: int) -> str:
 class Workers:
     """Processes that wait for tasks; a thread that finds none idle starts another.
 
-    Parameters
-    ----------
-    memory_bytes : int, optional
-        What each may allocate; half of what there is if not given.
+    Each may allocate ``memory_bytes``, half of what there is if not given.
     """
 
     def __init__(self, memory_bytes: int | None = None) -> None:

@@ -28,17 +28,7 @@ from vppres.solve.ladder import WindowSolver
 
 
 class CriticalFirst:
-    """Serves more customers of the first tier than a decision does, where the step alone can.
-
-    Parameters
-    ----------
-    site : Site
-        The whole fleet's site.
-    solver_of : callable
-        Makes the solver of a site.
-    options : GuardOptions
-        Tiers and tolerances.
-    """
+    """Serves more customers of the first tier than a decision does, where the step alone can."""
 
     def __init__(self, site: Site, solver_of: SolverOf, options: GuardOptions) -> None:
         self.site = site

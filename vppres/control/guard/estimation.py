@@ -35,12 +35,7 @@ RETRY_STEPS = 3
 class Estimator:
     """Keeps what is needed to judge the next measurements: the last ones, and what was commanded.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    physical : bool, optional
-        Whether batteries hold the islands, and so do not follow their set-points there.
+    In ``physical`` mode batteries hold the islands, and so do not follow their set-points there.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {

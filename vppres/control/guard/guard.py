@@ -42,17 +42,8 @@ ControllerOf = Callable[[Site], Decider]
 class GuardedController:
     """Wraps a controller so that every step has an answer that can be carried out.
 
-    Parameters
-    ----------
-    controller_of : callable
-        Makes the wrapped controller for a site: once for the whole fleet, and once for each part of
-        it that is left when batteries are out.
-    solver_of : callable
-        Makes the solver of the fallbacks for a site.
-    site : Site
-        The whole fleet's site.
-    options : GuardOptions
-        Tiers and tolerances.
+    ``controller_of`` makes the wrapped controller: once for the whole fleet, and once for each part
+    of it that is left when batteries are out. ``solver_of`` makes the solver of the fallbacks.
 
     Attributes
     ----------

@@ -78,13 +78,7 @@ class _Usual:
 
 
 class SeriesJudge:
-    """Tells which readings of demand and PV power stand still although the plant says otherwise.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    """
+    """Tells which readings of demand and PV power stand still although the plant says otherwise."""
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
         "_before": _Step | None,

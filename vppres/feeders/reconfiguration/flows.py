@@ -41,15 +41,7 @@ class Flows:
 
 
 class ConfigurationFlows:
-    """Solver of the configurations of one feeder for one injection.
-
-    Parameters
-    ----------
-    feeder : SwitchedNetwork
-        The feeder and its open switches.
-    p_kw, q_kvar : array, shape (N,)
-        Net injection of all devices, as for :class:`vppres.physics.powerflow.ACPowerFlow`.
-    """
+    """Solver of the configurations of one feeder for one injection."""
 
     def __init__(self, feeder: SwitchedNetwork, p_kw: Floats, q_kvar: Floats) -> None:
         net, ties = feeder.network, feeder.ties

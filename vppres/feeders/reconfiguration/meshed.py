@@ -35,13 +35,6 @@ class MeshedFlow:
     """Solver of the parts of one feeder in any state of its branches.
 
     Branches are the lines of the network, in its order, and after them the switches: ``E = L + K``.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder as a tree.
-    ties : Switches
-        Its K open switches.
     """
 
     def __init__(self, network: Network, ties: Switches) -> None:

@@ -214,13 +214,8 @@ class Plugged(UnitsAhead):
 class Garage:
     """Energy of the vehicles at all chargers from step to step.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Chargers, sessions and steps.
-    state : array, shape (K,), optional
-        Energy of the vehicles that are plugged in before the first step; as the sessions say where
-        it is NaN, or not given.
+    Where the energy of a vehicle before the first step, (K,), is not given or NaN, it is as its
+    session says.
 
     Attributes
     ----------

@@ -49,20 +49,8 @@ battery of the best efficiencies says too little, and the search begins with eve
 class Master:
     """The relaxation without the network, with a binary for each customer and step.
 
-    Parameters
-    ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
-        The window.
-    spec : SolverSpec
-        Solves it.
-    deadline : Deadline
-        When service and cost must be done; a caller may set it anew.
-    lumped : bool
-        Whether the fleet is one battery.
-    stepwise : bool
-        Whether service is first asked of one battery, step by step.
+    A caller may set the ``deadline`` of service and cost anew. ``lumped`` has the fleet as one
+    battery; ``stepwise`` asks for service of one battery first, step by step.
 
     Attributes
     ----------
