@@ -82,13 +82,6 @@ def by_part(state: StepState, rule: Rule) -> Carried | None:
     """The answer of a rule in each part as that of the whole feeder; None if one has none.
 
     In dead parts nothing is supplied, whatever the rule says.
-
-    Parameters
-    ----------
-    state : StepState
-        The step.
-    rule : callable
-        Dispatch of a part.
     """
     parts = [*parts_of_step(state)]
     found = [no_supply(part.state) if part.dead else rule(part) for part in parts]

@@ -351,14 +351,8 @@ DEARER = 2.0
 def refuse_dear_energy(scenario: Any, what: str, worth: float) -> None:
     """Refuse prices of energy beside which what units miss would count nothing.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its prices and their weight.
-    what : str
-        What is missed, in words, with so many that share its price.
-    worth : float
-        Least worth of a missed kWh, in weighted customer hours; infinite if none is missed.
+    ``what`` is missed, in words, with so many that share its price; ``worth`` is the least worth of
+    a missed kWh in weighted customer hours, infinite if none is missed.
 
     Raises
     ------

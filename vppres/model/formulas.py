@@ -23,14 +23,7 @@ def curtailed_kw(site: Site, wanted_kw: Floats, pv_kw: Floats, demand_kw: Floats
 
     The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    wanted_kw, pv_kw : array, shape (P,)
-        Curtailment that is asked for, and available power.
-    demand_kw : array, shape (C,)
-        Demand of those who are served.
+    ``demand_kw`` is that of those who are served, (C,).
     """
     usable = np.minimum(pv_kw, site.pv.s_max_kva)
     own = np.minimum(site.behind_meter(demand_kw), usable)

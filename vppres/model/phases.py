@@ -276,14 +276,8 @@ class PhasedModel:
     def source_in(self, parts: Parts, island: bool, which: Flags | None = None) -> int:
         """Supply of a step in which lines are out.
 
-        Parameters
-        ----------
-        parts : Parts
-            Its parts, one step.
-        island : bool
-            Whether the grid is away.
-        which : array of bool, shape (N,), optional
-            Buses of the parts that have a source; all that something forms if not given.
+        ``which`` are the buses of the parts that have a source, (N,); all that something forms if
+        not given.
         """
         b, index = self.site.batteries, self.site.network.bus_index
         at = np.array([index[bus] for bus in b.bus], dtype=int)

@@ -31,19 +31,6 @@ def realise(
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
     If not even the empty feeder has a solution with PV, sets and batteries running, they stop too.
     A power flow that was merely not found sheds no customer: its best answer is recorded as such.
-
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    flow : PowerFlow
-        Power flow of its feeder.
-    t : int
-        Step.
-    decision : Decision
-        What was decided.
-    state : BatteryState
-        State at the beginning of the step.
     """
     failed = ""
     for shed, tried in _with_less_load(plant.scenario, t, decision):

@@ -144,14 +144,7 @@ class IslandPlant:
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
         """Share the mismatch of step ``t``, cut what the set cannot carry, or go dark.
 
-        Parameters
-        ----------
-        t : int
-            The step.
-        planned : Realised
-            Set-points as far as the devices can follow them.
-        state : BatteryState
-            State before the step.
+        ``planned`` are set-points as far as the devices can follow them.
         """
         dark = None
         for former in self._possible_formers(t, planned, state):

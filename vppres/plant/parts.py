@@ -55,20 +55,8 @@ class PlantInParts:
     ) -> Settled:
         """Outcome of a decision, part by part.
 
-        Parameters
-        ----------
-        t : int
-            The step.
-        decision : Decision
-            Set-points of all parts.
-        state : BatteryState
-            State before the step.
-        out : OutOfService
-            What is out, of which the first step counts.
-        held : bool
-            Whether the part with the grid's bus is an island too that holds itself.
-        online : array of bool, shape (B,)
-            Batteries that are able to work.
+        The first step of ``out`` counts. With ``held`` the part with the grid's bus is an island
+        too that holds itself.
         """
         of_bus = parts_by_bus(self.network, out.lines[:1])[0]
         found = [

@@ -125,12 +125,8 @@ class Branches:
         Those with a switch that is operable and not locked. A line that a fault takes out in the
         window is opened by it, and one that was left open is closed by the crew that repaired it.
 
-        Parameters
-        ----------
-        open_now : array of bool, shape (E,)
-            Branches that are open at its beginning.
-        out : OutOfService
-            Lines and buses that are out in the window, in the scenario's own order.
+        ``open_now`` are branches that are open at its beginning, (E,); ``out`` is in the scenario's
+        own order.
         """
         switches, net = self.switches, self.network
         able = np.append(switches.movable, False)[self.switch]
@@ -361,15 +357,6 @@ class Configured:
 
 def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Configured:
     """The day in a configuration.
-
-    Parameters
-    ----------
-    day : Scenario
-        The day, in the configuration in which it begins.
-    branches : Branches
-        Its lines and ties.
-    closed : array of bool, shape (E,)
-        Those that are closed, without a loop.
 
     Raises
     ------

@@ -113,12 +113,7 @@ class Ranks:
 
         That of a tier holds for all schedules which supply the tiers above it as this one does.
 
-        Parameters
-        ----------
-        served : Flags
-            The schedule, (W, C).
-        bound : float
-            What no schedule's weights exceed, in units of the last tier.
+        ``bound`` is what no schedule's weights exceed, in units of the last tier.
         """
         found = self.supplied(np.ones_like(served))
         for k, supplied in enumerate(self.supplied(served)):

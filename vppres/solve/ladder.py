@@ -328,12 +328,7 @@ class WindowSolver:
     def fleet_bound(self, data: WindowData, within_s: float = math.inf) -> float:
         """Most that F can be in a window whose network carries everything; infinite if unknown.
 
-        Parameters
-        ----------
-        data : WindowData
-            What changes from window to window.
-        within_s : float, optional
-            Time that it may take, in s, where that is less than the limit.
+        It takes no longer than ``within_s``, or its limit where that is less.
         """
         sound = data.with_sound_soc(self.site.batteries)
         if self.method != "decomposed" or sound.limits_time_off:

@@ -52,16 +52,7 @@ def violations(
 ) -> list[str]:
     """Limits that a decision violates, each in words; empty if it can be carried out.
 
-    Parameters
-    ----------
-    decision : Decision
-        What a controller answered.
-    state : StepState
-        The step as it is known.
-    within : Tolerances, optional
-        How far it may be off.
-    v_limits_pu : tuple of float, optional
-        Limits of the plan's voltages; those of the network if not given.
+    Voltages keep within ``v_limits_pu``, or within those of the network if not given.
     """
     odd = misshapen(decision, state.site)
     if odd:

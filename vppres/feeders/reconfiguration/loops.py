@@ -103,13 +103,7 @@ class SwitchedNetwork:
         return [(bits, np.array(members)) for bits, members in groups.items()]
 
     def configurations(self, at_once: int) -> Iterator[Wholes]:
-        """All sets of K branches of which the opening leaves a tree, in blocks of shape (T, K).
-
-        Parameters
-        ----------
-        at_once : int
-            Most configurations of a block.
-        """
+        """All sets of K branches of which the opening leaves a tree, in blocks of shape (T, K)."""
         waiting: list[Wholes] = []
         held = 0
         for groups in _independent([bits for bits, _ in self._series], self.n_loops):
@@ -128,12 +122,7 @@ class SwitchedNetwork:
     def exchanges(self, opened: Wholes, place: int) -> Wholes:
         """Configurations that close one open branch, and open another of its loop.
 
-        Parameters
-        ----------
-        opened : array, shape (K,)
-            Branches that are open.
-        place : int
-            Which of them is closed.
+        ``place`` is the position among the ``opened``, (K,), of the one that is closed.
 
         Returns
         -------

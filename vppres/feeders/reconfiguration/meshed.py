@@ -63,16 +63,8 @@ class MeshedFlow:
     ) -> PartFlow | None:
         """Flow of a part, None if none is found.
 
-        Parameters
-        ----------
-        inside : array of bool, shape (N,)
-            Buses of the part.
-        closed : array of bool, shape (E,)
-            Branches that are closed; those of the part are looked at.
-        reference : int
-            Position of the bus with its source.
-        p_kw, q_kvar : array, shape (N,)
-            Net injection of every bus.
+        ``inside`` are its buses, (N,), ``closed`` the branches that are closed, (E,), and
+        ``reference`` is the position of the bus with its source.
         """
         net = self.network
         buses = np.flatnonzero(inside)

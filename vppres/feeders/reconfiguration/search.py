@@ -126,22 +126,9 @@ def least_loss(
 ) -> LeastLoss:
     """The radial configuration with the least losses under the limits.
 
-    Parameters
-    ----------
-    feeder : SwitchedNetwork
-        The feeder and the switches that can be moved.
-    p_kw, q_kvar : array, shape (N,)
-        Net injection of every bus.
-    limits : ConfigurationLimits
-        What a configuration must keep.
-    most : int, optional
-        Number of configurations up to which all are solved.
-    attempts : int, optional
-        Starts of the search where there are more.
-    seed : int, optional
-        Seed of its random exchanges.
-    progress : callable, optional
-        Called with the configurations or starts that are done, and their number.
+    Up to so many configurations as ``most`` all are solved; else the search starts so many times as
+    ``attempts``. ``progress`` is called with the configurations or starts that are done, and their
+    number.
     """
     flows = ConfigurationFlows(feeder, p_kw, q_kvar)
     count = feeder.count

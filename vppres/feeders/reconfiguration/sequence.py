@@ -155,12 +155,7 @@ class SwitchingOrder:
 def safe_order(feeder: SwitchedFeeder, now: Flags, then: Flags) -> SwitchingOrder:
     """Order of the operations that lead from one configuration to another.
 
-    Parameters
-    ----------
-    feeder : SwitchedFeeder
-        The feeder, its injections and limits.
-    now, then : array of bool, shape (E,)
-        Closed branches before and after; those before may have a loop.
+    Branches are closed ``now``, which may have a loop, and ``then``, (E,).
 
     Examples
     --------
