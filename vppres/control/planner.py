@@ -31,10 +31,8 @@ def plan_with_rules(
 
     Returns
     -------
-    WindowSolution
-        The answer.
-    bool
-        Whether duties were dropped.
+    WindowSolution, bool
+        The answer, and whether duties were dropped.
 
     Raises
     ------

@@ -86,14 +86,9 @@ class Switching(InConfiguration):
 
     Parameters are those of :class:`InConfiguration`, but that ``solver_of`` is None where plans
     have other weights than the site.
-
-    Attributes
-    ----------
-    last : Search
-        The search of the last step.
     """
 
-    last: Search
+    last: Search  #: the search of the last step
 
     def __init__(
         self,

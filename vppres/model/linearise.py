@@ -23,13 +23,9 @@ from vppres.scenario.network import Network
 def delta_offset(
     network: Network, point: OperatingPoint | None, centre: Centre = "lossless"
 ) -> Floats:
-    """Offset of each line in pu², zero before the first AC solution.
+    """Offset of each line in pu², (L,), zero before the first AC solution.
 
     ``centre`` says which flows belong to the AC voltages; ``none`` gives plain LinDistFlow.
-
-    Returns
-    -------
-    array, shape (L,)
 
     Examples
     --------

@@ -265,14 +265,7 @@ def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
 def forest(ends: Wholes, branches: Wholes, n_buses: int) -> tuple[Flags, Wholes]:
     """Branches that join two blocks, taken one after another, and the blocks in the end.
 
-    Parameters
-    ----------
-    ends : array of int, shape (E, 2)
-        Buses of all branches.
-    branches : array of int
-        The branches that are taken, in order.
-    n_buses : int
-        Number of buses.
+    ``branches`` are taken in their order, and ``ends`` are the buses of all, (E, 2).
 
     Returns
     -------

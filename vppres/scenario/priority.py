@@ -48,16 +48,8 @@ class Ranks:
     ) -> Ranks:
         """Ranks of the customers for windows of so many steps.
 
-        Parameters
-        ----------
-        customers : Customers
-            With their tiers; their weights count within a tier alone.
-        tiers : sequence of str
-            Names, the most important first.
-        n_steps : int
-            Steps of the longest window.
-        action_price : float, optional
-            Price of disconnecting or restoring a customer, in customer hours of the last tier.
+        Weights of the customers count within a tier alone. ``action_price`` is that of
+        disconnecting or restoring a customer, in customer hours of the last tier.
 
         Examples
         --------

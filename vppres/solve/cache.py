@@ -43,12 +43,8 @@ class ModelCache:
     ) -> M:
         """The problem that ``make`` makes of the site for a shape, made where it is not there yet.
 
-        Parameters
-        ----------
-        make : callable
-            Makes the problem: ``(site, **shape) -> problem``.
-        **shape
-            What the problem is compiled for, its number of steps and its mode; hashable.
+        ``make`` makes it: ``(site, **shape) -> problem``. The shape, such as a number of steps and
+        a mode, is hashable.
 
         Examples
         --------

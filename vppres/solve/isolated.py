@@ -494,14 +494,8 @@ class IsolatedSolver(WindowSolver):
     ) -> float:
         """Time after which the process is killed, in s.
 
-        Parameters
-        ----------
-        data : WindowData
-            The window.
-        compiled : bool
-            Whether the process has solved a window of that kind before.
-        within_s : float, optional
-            Time that the solver may take, in s, where that is less than its limit.
+        ``compiled`` says whether the process has solved a window of that kind before; the solver
+        may take ``within_s``, or its limit where that is less.
         """
         buses = self.site.network.n_buses
         seconds = self.limits.at_most(within_s).time_s + LATE_S + LATE_S_PER_BUS * buses

@@ -120,13 +120,9 @@ class SwitchedNetwork:
             yield np.concatenate(waiting)
 
     def exchanges(self, opened: Wholes, place: int) -> Wholes:
-        """Configurations that close one open branch, and open another of its loop.
+        """Configurations that close one open branch, and open another of its loop, (T, K).
 
         ``place`` is the position among the ``opened``, (K,), of the one that is closed.
-
-        Returns
-        -------
-        array, shape (T, K)
         """
         inverse = np.linalg.inv(self.loops[opened].astype(float))
         joined = self.may_open & (np.abs(self.loops @ inverse[:, place]) > 0.5)
