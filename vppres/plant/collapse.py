@@ -52,7 +52,7 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
     return Settled(
         realised,
         ac,
-        np.zeros(len(realised.charge_kw)),
+        np.zeros(len(realised.battery_kw)),
         asked & ~realised.served,
         ac_failed=ac_failed,
     )

@@ -31,7 +31,6 @@ from vppres.plant.changes import (
     curtailed,
     forms,
     part_of,
-    powers_of,
     spare,
     taking,
     taking_less,
@@ -200,7 +199,7 @@ class IslandPlant:
         self, t: int, planned: Realised, state: BatteryState, former: Former, helpers: Flags
     ) -> Settled:
         """The step with this former and the help of some batteries, (B,)."""
-        set_points = powers = former.begin(powers_of(planned))
+        set_points = powers = former.begin(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw)
         devices += sum(len(taken_kw) for taken_kw in planned.taken_kw.values())
@@ -405,8 +404,9 @@ def shedding_order(scenario: Scenario, t: int) -> list[int]:
 
 
 def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
-    """Power of the set that forms the grid beyond its set-point."""
-    if powers.forming is None:
-        return 0.0
-    one = powers.forming.genset
-    return float(set_points.taken_kw["gensets"][one] - powers.taken_kw["gensets"][one])
+    """Power of the set that forms the grid, if one does, beyond its set-point."""
+    beyond_kw = 0.0
+    for one in powers.forming:
+        asked_kw, taken_kw = (each.taken_kw["gensets"] for each in (set_points, powers))
+        beyond_kw += float(asked_kw[one.genset] - taken_kw[one.genset])
+    return beyond_kw

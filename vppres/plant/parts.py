@@ -166,7 +166,7 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
         "served": inside.customers,
         "load_kw": inside.customers,
         **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"), inside.pv),
-        **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc_end"), inside.batteries),
+        **dict.fromkeys(("battery_kw", "batt_q_kvar", "soc_end"), inside.batteries),
         **dict.fromkeys(("p_injection_kw", "q_injection_kvar"), inside.places),
     }
     changed: dict[str, Any] = {
