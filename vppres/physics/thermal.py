@@ -131,17 +131,9 @@ def heat_kw(
 
     ``Q = P_ch (1 - eta_ch) + P_dch (1 / eta_dch - 1) + P_batt² R_int(T) / U_batt²``
 
-    Parameters
-    ----------
-    batteries : Batteries
-        Electric constants.
-    power : Power
-        Power at the terminals.
-    state : HasThermalState
-        Temperature and efficiencies during the step.
-    joule_unit : {"w", "kw"}
-        ``P² R / U²`` gives watts for a power in watts. ``"kw"`` takes that number as kW, a factor
-        1000 too much: a sensitivity, not a model.
+    The power is that at the terminals. ``P² R / U²`` gives watts for a power in watts; the
+    ``joule_unit`` ``"kw"`` takes that number as kW, a factor 1000 too much: a sensitivity, not a
+    model.
     """
     conversion = power.charge_kw * (1.0 - state.eta_charge) + power.discharge_kw * (
         1.0 / state.eta_discharge - 1.0

@@ -130,14 +130,9 @@ class Worker:
             self._warm.popitem(last=False)
 
     def ask(self, task: Task, within_s: float) -> Reply:
-        """Do a task.
+        """Do a task, whose setup is sent only where the process lacks it.
 
-        Parameters
-        ----------
-        task : Task
-            With its setup, which is sent only where the process lacks it.
-        within_s : float
-            Time until the reply, once the process is ready, in s.
+        The time until the reply counts from when the process is ready.
 
         Raises
         ------
@@ -301,14 +296,8 @@ class Workers:
     def ask(self, task: Task, kind: object, within_s: Callable[[bool], float]) -> Reply:
         """Do a task in an idle process.
 
-        Parameters
-        ----------
-        task : Task
-            With its setup.
-        kind : object
-            Tasks of one kind and setup need the same problems.
-        within_s : callable
-            Time for the reply in s, given whether the process has done a task of that kind.
+        Tasks of one ``kind`` and setup need the same problems. ``within_s`` is the time for the
+        reply in s, given whether the process has done a task of that kind.
 
         Raises
         ------

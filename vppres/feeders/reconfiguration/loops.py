@@ -24,17 +24,6 @@ class SwitchedNetwork:
 
     Branches are the lines of the network, in its order, and after them the switches: ``L + K``.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder as it is.
-    ties : Switches
-        The K switches that are open and can be closed, each between two buses of the network.
-    can_open : array of bool, shape (L,)
-        Lines that can be opened.
-    line_names : tuple of str
-        Names of the lines.
-
     Examples
     --------
     A ring of three lines of which one is open:
@@ -46,9 +35,10 @@ class SwitchedNetwork:
     (3, [[[0], [1], [2]]])
     """
 
-    network: Network
+    network: Network  #: the feeder as it is
+    #: The K switches that are open and can be closed, each between two buses of the network.
     ties: Switches
-    can_open: Flags
+    can_open: Flags  #: lines that can be opened, (L,)
     line_names: tuple[str, ...] = ()
 
     @property
