@@ -364,7 +364,8 @@ def hard_window(kind: str, seed: int) -> HardWindow:
     soc = b.soc_min + (b.soc_max - b.soc_min) * rng.uniform(0.0, 1.0, len(b))
     forecast = Forecaster(scenario, day.errors, seed).at(t0, range(t0, t0 + steps))
     past, owed = _past(rng, scenario), Owed.of(scenario.customers, scenario.grid.dt_h)
-    seen = Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, past, owed)
+    able = np.ones(len(b), dtype=bool)
+    seen = Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, past, owed, able)
     site = Site.of(scenario)
     data = WindowData.of(seen, site, "lossless")
     if scenario.controller.mode == "physical":

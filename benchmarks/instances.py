@@ -173,7 +173,8 @@ def window_data(instance: Instance) -> WindowData:
         b.eta_discharge,
         SwitchingState.of(SwitchingRules(), day.customers, day.grid.dt_h),
         Owed.of(day.customers, day.grid.dt_h),
-        point,
+        np.ones(len(b), dtype=bool),
+        operating_point=point,
     )
     return WindowData.of(seen, Site.of(day), "lossless")
 

@@ -23,6 +23,7 @@ from tests.support.small_windows import (
     OPEN,
     battery,
     full_of,
+    observed,
     two_buses,
     window,
 )
@@ -37,7 +38,7 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer import rows as switching_rules
 from vppres.kinds.customer.data import RuleSteps, SwitchingRules
-from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData, SwitchingState
+from vppres.kinds.customer.physics import LongestOff, SwitchingData, SwitchingState
 from vppres.kinds.customer.rows import SwitchingModel
 from vppres.model.site import Site
 from vppres.model.statement import Statement
@@ -246,8 +247,7 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
         day.temperature_c,
         out=day.out_of_service(range(day.grid.n_steps)),
     )
-    owed = Owed.of(day.customers, day.grid.dt_h)
-    return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, state, owed)
+    return replace(observed(day, 0, forecast, b.soc_initial), switching=state)
 
 
 @pytest.mark.parametrize(("rules", "idle"), [

@@ -19,7 +19,6 @@ from tests.support.failing_solvers import BAD_PRICE, Refusing
 from tests.support.long_days import repeated
 from tests.support.refusals import refusal
 from tests.support.same_steps import same
-from vppres.control.guard.estimation import StateEstimate
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import from_plain, to_plain
@@ -145,7 +144,7 @@ print(step.batteries.to_json(double_precision=15), step.import_kw, step.solve["b
 
 
 # Attributes of controllers that are no memory: made anew with them, or read before they are set.
-MADE_ANEW = {"_critical", "_solvers", "_sweeps", "known", "_controller_of", "_solver_of", "solver"}
+MADE_ANEW = {"_critical", "_solvers", "_sweeps", "_controller_of", "_solver_of", "solver"}
 
 
 def parts_of(found: object, known: set[int]) -> Iterator[object]:
@@ -165,8 +164,6 @@ def plain_parts(controller: Controller) -> list[str]:
     """All that the parts of a controller hold, as text, but for what is made anew."""
     found = []
     for part in parts_of(controller._decider, set()):
-        if isinstance(part, StateEstimate):
-            continue
         values = {k: v for k, v in vars(part).items() if k not in MADE_ANEW}
         for name, value in values.items():
             if type(value).__module__.startswith("vppres.control.") and name != "_soc":
@@ -260,7 +257,8 @@ def as_in_version_6(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
             return old
         owed = None if isinstance(old["owed"]["kw"], dict) else old["owed"]  # no rows
         limited = any(each != "inf" for each in old["switching"]["longest_off_h"])
-        return {**old, "owed": owed, "switching": old["switching"] if limited else None}
+        online = {"online": None} if "online" in old else {}
+        return {**old, "owed": owed, "switching": old["switching"] if limited else None, **online}
 
     for moment in filter(None, (state["now"], state["before"])):
         after_their_step(moment["past"]["kinds"], day)

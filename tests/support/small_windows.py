@@ -116,7 +116,8 @@ def observed(day: Scenario, t0: int, forecast: Forecast, soc: Floats) -> Observa
     b, dt_h = day.batteries, day.grid.dt_h
     free = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
     owed = Owed.of(day.customers, dt_h)
-    return Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, free, owed)
+    able = np.ones(len(b), dtype=bool)
+    return Observation(t0, forecast, soc, b.eta_charge, b.eta_discharge, free, owed, able)
 
 
 def first_step(scenario: Scenario, data: WindowData) -> StepState:

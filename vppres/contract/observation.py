@@ -33,7 +33,10 @@ class SupplyTurns:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Forecasts and measurements at the beginning of a step, and no future truth."""
+    """Forecasts and measurements at the beginning of a step, and no future truth.
+
+    The guard's estimate of a step is another one, in which every measurement is plausible.
+    """
 
     t0: int  #: the step to decide on
     forecast: Forecast  #: forecast of the window; its first step is the actual one
@@ -43,11 +46,13 @@ class Observation:
     eta_discharge: Floats
     switching: SwitchingState  #: switching rules and what was really served so far
     owed: Owed  #: what dimmed customers may still catch up
+    #: Batteries that report to be able to work, (B,); of an estimate, those that can be used.
+    online: Flags
+    estimated: str = ""  #: what was not measured, in words; empty if everything was
     operating_point: OperatingPoint | None = None  #: last AC operating point, None before the first
     moves: Moves | None = None  #: the plan before, where the controller is to stay near it
     #: Measured charging power of the step before, negative where discharged, (B,).
     battery_kw: Floats | None = None
-    online: Flags | None = None  #: batteries that report to be able to work, (B,); all if not given
     #: Measured import of the step before, losses included; in an island of the paper what its
     #: balance lacks.
     import_kw: float | None = None

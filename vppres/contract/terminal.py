@@ -40,14 +40,7 @@ class Terminal:
     def of(cls, soc: float | None, forecast: Forecast, ends: bool) -> Terminal | None:
         """The end of a window of which a forecast is known.
 
-        Parameters
-        ----------
-        soc : float or None
-            What batteries are to hold; None for nothing.
-        forecast : Forecast
-            Prices of the window.
-        ends : bool
-            Whether nothing is known of the steps behind the window.
+        The end holds ``soc``, if any; with ``ends`` nothing is known of the steps behind it.
         """
         return cls(soc, _missing_price(forecast)) if soc is not None and ends else None
 

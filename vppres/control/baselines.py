@@ -23,17 +23,7 @@ from vppres.scenario.timegrid import TimeGrid
 
 
 class IdleController:
-    """Batteries do nothing; an island is served by tier as far as PV power goes.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    tiers : sequence of str
-        Names of the tiers, the most important first.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    """
+    """Batteries do nothing; an island is served by tier as far as PV power goes."""
 
     def __init__(self, site: Site, tiers: Sequence[str], centre: Centre = "lossless") -> None:
         self.site = site
@@ -67,19 +57,6 @@ class ReserveController:
 
     Without an announcement the batteries rest. Import limits come before charging, and a customer
     before both.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    grid : TimeGrid
-        The day's steps.
-    tiers : sequence of str
-        Names of the tiers, the most important first.
-    rule : ReserveRule
-        Level and notice.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
     """
 
     def __init__(

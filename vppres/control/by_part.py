@@ -22,26 +22,15 @@ from vppres.model.parts import at_items
 
 @dataclass(frozen=True, eq=False)
 class PartState:
-    """A part of the feeder in the step: the items inside, and its own state.
+    """A part of the feeder in the step: the items inside, and its own state."""
 
-    Parameters
-    ----------
-    state : StepState
-        The step without what is outside of the part.
-    dead : bool
-        Whether nothing forms it, or its bus is out.
-    customers, pv, batteries : array of bool, shape (C,), (P,) and (B,)
-        What is inside.
-    units : dict
-        Units of each kind inside, (n,).
-    """
-
-    state: StepState
-    dead: bool
+    state: StepState  #: the step without what is outside of the part
+    dead: bool  #: whether nothing forms it, or its bus is out
+    #: What is inside, (C,), (P,) and (B,).
     customers: Flags
     pv: Flags
     batteries: Flags
-    units: dict[str, Flags]
+    units: dict[str, Flags]  #: units of each kind inside, (n,)
 
 
 Rule = Callable[[PartState], Carried | None]
@@ -93,13 +82,6 @@ def by_part(state: StepState, rule: Rule) -> Carried | None:
     """The answer of a rule in each part as that of the whole feeder; None if one has none.
 
     In dead parts nothing is supplied, whatever the rule says.
-
-    Parameters
-    ----------
-    state : StepState
-        The step.
-    rule : callable
-        Dispatch of a part.
     """
     parts = [*parts_of_step(state)]
     found = [no_supply(part.state) if part.dead else rule(part) for part in parts]

@@ -24,16 +24,8 @@ class ByWeight:
     For each set of weights the controller is made anew, and the one before is dropped. Compiled
     problems of the last few are kept.
 
-    Parameters
-    ----------
-    decider_of : callable
-        Makes the controller of a site.
-    weighed : callable
-        The site with other weights, (C,).
-    weight : array, shape (C,)
-        Those of which the value of stored energy follows.
-    given : mapping
-        What a memory does not hold, by type.
+    ``weighed`` makes the site with other weights, (C,). The value of stored energy follows from the
+    first ``weight``; ``given`` is what a memory does not hold, by type.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"_parts": PARTS}

@@ -21,30 +21,14 @@ MOST_TRIED = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Configurations with no loop that are reached from the present one.
+    """Configurations with no loop that are reached from the present one."""
 
-    Parameters
-    ----------
-    ends : array of int, shape (E, 2)
-        Positions of the buses of each branch.
-    present : array of bool, shape (E,)
-        Branches that are closed now.
-    movable : array of bool, shape (E,)
-        Branches that may change.
-    price : array, shape (E,)
-        Price of an operation of each.
-    out : array of bool, shape (W, E)
-        Branches that are out by faults.
-    n_buses : int
-        Buses.
-    """
-
-    ends: Wholes
-    present: Flags
-    movable: Flags
-    price: Floats
-    out: Flags
-    n_buses: int
+    ends: Wholes  #: positions of the buses of each branch, (E, 2)
+    present: Flags  #: branches that are closed now, (E,)
+    movable: Flags  #: branches that may change, (E,)
+    price: Floats  #: price of an operation of each, (E,)
+    out: Flags  #: branches that are out by faults, (W, E)
+    n_buses: int  #: buses
 
     @property
     def all_tried(self) -> bool:
@@ -119,18 +103,10 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """A configuration that is held over a window.
+    """A configuration that is held over a window."""
 
-    Parameters
-    ----------
-    of : Candidates
-        From where it is reached.
-    closed : array of bool, shape (E,)
-        Branches that are closed.
-    """
-
-    of: Candidates
-    closed: Flags
+    of: Candidates  #: from where it is reached
+    closed: Flags  #: branches that are closed, (E,)
 
     @cached_property
     def carrying(self) -> Flags:

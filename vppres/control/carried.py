@@ -86,20 +86,9 @@ def dispatch_of(
 ) -> Dispatch:
     """One step in which customers are supplied, (C,), with its flows, voltages and storage.
 
-    Parameters
-    ----------
-    state : StepState
-        The step, with the powers of kinds.
-    served : array of bool, shape (C,)
-        Who is supplied.
-    pv : tuple of array, shape (P,)
-        Own use, export, and reactive power of PV systems.
-    battery_kw, battery_kvar : array, shape (B,)
-        Charging power, negative to discharge, and reactive power that batteries give.
-    grid_kw : float
-        Import, negative to export.
-    given_kvar : mapping
-        Reactive power that units give by kind, (n,).
+    ``pv`` is own use, export and reactive power. Batteries charge with ``battery_kw``, negative to
+    discharge, and give ``battery_kvar``; ``grid_kw`` is negative for export; ``given_kvar`` is what
+    units give by kind, (n,).
     """
     site = state.site
     own, export, pv_kvar = pv

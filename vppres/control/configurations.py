@@ -53,18 +53,9 @@ class ControllerIn:
 class InConfiguration:
     """Decides as the controller of the configuration that is observed.
 
-    Parameters
-    ----------
-    day : Scenario
-        The day, in the configuration in which it begins.
-    controller_of : callable
-        Makes the controller of the day in a configuration.
-    site_of : callable
-        Makes the site that it plans for.
-    given : callable
-        What is known of a site without a memory of its controller.
-    solver_of : callable, optional
-        Makes the solver of bounds of a site.
+    ``day`` stands in the configuration in which it begins. ``site_of`` makes the site that a
+    controller plans for, ``given`` what is known of it without a memory, ``solver_of`` the solver
+    of bounds.
 
     Attributes
     ----------

@@ -58,15 +58,9 @@ def linearisation_of(site: Site) -> Linearisation[Any]:
 class ConvergedPlanner:
     """Plans windows that AC agrees with.
 
-    Parameters
-    ----------
-    solver : WindowSolver
-        Solves the windows.
-    headroom : float, optional
-        Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
-    passes : int, optional
-        Largest number of solves and AC power flows of a window, that of its linearisation if not
-        given; 0 plans in the linearisation at rest.
+    A plan leaves ``headroom`` of a grid-forming battery's inverter rating free in an island. A
+    window takes at most so many ``passes``, each a solve and an AC power flow; with 0 it is planned
+    in the linearisation at rest.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"_last": LastWindow | None}

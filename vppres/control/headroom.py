@@ -20,13 +20,8 @@ RELEASED = "headroom_released"
 class HeadroomPlanner:
     """Plans with headroom, and without it where that supplies more of the first tier.
 
-    Parameters
-    ----------
-    planner_of : callable
-        Makes the planner of a site in strict order that leaves so much of the rating of
-        grid-forming batteries free in an island.
-    headroom : float
-        That share.
+    ``planner_of`` makes the planner of a site in strict order that leaves so much of the rating of
+    grid-forming batteries free in an island.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"kept": PART, "released": PART}

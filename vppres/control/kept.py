@@ -21,15 +21,7 @@ from vppres.core.arrays import Flags
 
 
 def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
-    """The dispatch by rule with as much flexible power as costs no service.
-
-    Parameters
-    ----------
-    state : StepState
-        The step.
-    tiers : sequence of str
-        Names of the tiers, the most important first.
-    """
+    """The dispatch by rule with as much flexible power as costs no service."""
     if state.dark:
         return _dispatch_beside(state, state.formers, tiers)
     alone = rule_dispatch(state, tiers)

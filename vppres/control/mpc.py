@@ -33,21 +33,8 @@ ROUNDING_KWH = 1e-3
 class MPCController:
     """Receding horizon ``t0 .. t0 + H``, cut at the end of the day.
 
-    Parameters
-    ----------
-    solver : WindowSolver
-        Solves the windows; compiled problems are kept between steps.
-    grid : TimeGrid
-        The day's steps.
-    horizon_h : float
-        Prediction horizon H in h; 0 looks at the current step only.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    planner : Planner, optional
-        Plans the windows; one solve at the centre if not given.
-    move_weight : float, optional
-        What moving a battery by its rated power away from the plan before is worth, in kW of line
-        losses.
+    With a horizon of 0 h it looks at the current step only. ``move_weight`` is what moving a
+    battery by its rated power away from the plan before is worth, in kW of line losses.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"_last": tuple[int, Dispatch] | None, "planner": PART}

@@ -42,12 +42,7 @@ other phases and magnetising currents move it by."""
 def served_by_phase(state: StepState, blocks: Sequence[Wholes]) -> Carried:
     """Customers block by block, each if all phases carry it beside those before.
 
-    Parameters
-    ----------
-    state : StepState
-        A step without grid, of a site with phases.
-    blocks : sequence of array of int
-        Positions of customers, the most important first.
+    The first block is the most important; the step has no grid.
     """
     nobody = np.zeros(len(state.site.customers), dtype=bool)
     former = Former.of(state)

@@ -29,21 +29,10 @@ def plan_with_rules(
     to be supplied, every customer may be switched off, and no generating set has to stay on.
     Minimum times off stay, and so does all that the window itself begins.
 
-    Parameters
-    ----------
-    planner : Planner
-        Plans the windows.
-    observation : Observation
-        What is known, with rules or without.
-    n_steps : int, optional
-        First steps of the window alone.
-
     Returns
     -------
-    WindowSolution
-        The answer.
-    bool
-        Whether duties were dropped.
+    WindowSolution, bool
+        The answer, and whether duties were dropped.
 
     Raises
     ------

@@ -22,12 +22,7 @@ PARTS = object()
 def memory_of(decider: Any, given: Given) -> dict[str, Any]:
     """The memory of a controller and of its parts, as JSON can hold it.
 
-    Parameters
-    ----------
-    decider : Decider
-        A controller, guarded or not, or a part of one.
-    given : mapping
-        What is known without the memory, by type: the site and its rules.
+    ``given`` is known without the memory, by type: the site and its rules.
 
     Examples
     --------
@@ -50,16 +45,8 @@ def memory_of(decider: Any, given: Given) -> dict[str, Any]:
 def put_back(decider: Any, memory: Any, given: Given, where: str) -> None:
     """Let a controller remember what another one did, or what it did itself before.
 
-    Parameters
-    ----------
-    decider : Decider
-        A controller of the same options.
-    memory : dict
-        What :func:`memory_of` made of the other.
-    given : mapping
-        As there, of the new controller.
-    where : str
-        What is read, as problems name it.
+    The memory is what :func:`memory_of` made of a controller of the same options, ``given`` that of
+    the new one; ``where`` is what is read, as problems name it.
 
     Raises
     ------

@@ -24,16 +24,7 @@ class Rotating:
 
     Weights change while there is grid, and in an outage after each turn.
 
-    Parameters
-    ----------
-    controllers : ByWeight
-        Decides with the present weights.
-    scenario : Scenario
-        Its customers and tiers.
-    rules : Fairness
-        How supply is shared.
-    off_h : array, shape (C,)
-        Hours off supply before the first step.
+    ``off_h`` are the hours off supply before the first step, (C,).
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {

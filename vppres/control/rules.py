@@ -37,14 +37,7 @@ def rule_dispatch(
 ) -> Carried:
     """Serve by tier, then by weight per kW, what can be carried in this step.
 
-    Parameters
-    ----------
-    state : StepState
-        The step.
-    tiers : sequence of str
-        Names of the tiers, the most important first.
-    battery_kw : array, shape (B,), optional
-        Wanted charging power, negative to discharge; given up where service needs it.
+    Batteries charge with ``battery_kw``, negative to discharge, unless service needs it.
     """
     customers = state.site.customers
     if state.island and state.site.phases:
@@ -134,14 +127,8 @@ def _bound(weights: Floats, loads_kw: Floats, left_kw: float, value: float, unit
 def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None:
     """Dispatch of a supply schedule with batteries near what is wanted of them.
 
-    Parameters
-    ----------
-    state : StepState
-        The step.
-    served : array of bool, shape (C,)
-        Who is supplied.
-    battery_kw : array, shape (B,)
-        Wanted charging power, negative to discharge; moved as far as the balance needs.
+    ``battery_kw`` is wanted for charging, negative to discharge, and moved as far as the balance
+    needs.
 
     Returns
     -------

@@ -26,60 +26,35 @@ from vppres.scenario.formers import largest_forming_battery
 
 @dataclass(frozen=True, eq=False)
 class StepState:
-    """The step to decide on.
+    """The step to decide on."""
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    load_kw, pv_kw : array, shape (C,) and (P,)
-        Demand and available PV power.
-    grid_limit_kw : float
-        Largest import, 0 in an outage.
-    soc, eta_charge, eta_discharge : array, shape (B,)
-        State of charge and efficiencies.
-    offset_pu2 : array, shape (L,)
-        Offset of the delta form of LinDistFlow.
-    online : array of bool, shape (B,)
-        Batteries that can be used.
-    export_limit_kw : float
-        Largest export, 0 in an outage and where the connection imports only.
-    drawn : Drawn, optional
-        What the network itself draws, one step; None where it draws nothing.
-    own_v_pu : array, shape (k, N), optional
-        Voltages that the feeder has without control, where limits give way to them; none if not
-        given.
-    ahead : KindsAhead, optional
-        Vehicles, rooms and generating sets; none if not given.
-    dark : bool, optional
-        Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
-    parts : Parts
-        Parts into which lines that are out cut the feeder, one step.
-    due : array of bool, shape (C,)
-        Customers whose longest time off has ended.
-    inside : array of bool, shape (N,), optional
-        Buses of the part that it is the step of; all if not given.
-    taken_kw, running : dict
-        Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
-    """
-
-    site: Site
+    site: Site  #: fixed data
+    #: Demand and available PV power, (C,) and (P,).
     load_kw: Floats
     pv_kw: Floats
-    grid_limit_kw: float
+    grid_limit_kw: float  #: largest import, 0 in an outage
+    #: State of charge and efficiencies, (B,) each.
     soc: Floats
     eta_charge: Floats
     eta_discharge: Floats
-    offset_pu2: Floats
-    online: Flags
+    offset_pu2: Floats  #: offset of the delta form of LinDistFlow, (L,)
+    online: Flags  #: batteries that can be used, (B,)
+    #: Largest export, 0 in an outage and where the connection imports only.
     export_limit_kw: float = 0.0
+    #: What the network itself draws, one step; None where it draws nothing.
     drawn: Drawn | None = None
+    #: Voltages that the feeder has without control, where limits give way to them; none if not
+    #: given, (k, N).
     own_v_pu: Floats = field(default_factory=lambda: np.empty((0, 1)))
+    #: Vehicles, rooms and generating sets; none if not given.
     ahead: KindsAhead = field(default_factory=KindsAhead)
+    #: Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
     dark: bool = False
+    #: Parts into which lines that are out cut the feeder, one step.
     parts: Parts = field(kw_only=True)
-    due: Flags = field(kw_only=True)
-    inside: Flags | None = None
+    due: Flags = field(kw_only=True)  #: customers whose longest time off has ended, (C,)
+    inside: Flags | None = None  #: buses of the part that it is the step of; all if not given, (N,)
+    #: Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
 
@@ -89,15 +64,13 @@ class StepState:
         site: Site,
         seen: Observation,
         centre: Centre = "lossless",
-        online: Flags | None = None,
         needs_former: bool = False,
     ) -> StepState:
-        """The first step of an observation; all batteries are online if nothing else is said.
+        """The first step of an observation.
 
         ``needs_former`` is as for :func:`~vppres.model.parts.parts_of`.
         """
-        able = np.ones(len(site.batteries), dtype=bool) if online is None else online
-        held = np.where(able, seen.soc, site.batteries.soc_min)
+        held = np.where(seen.online, seen.soc, site.batteries.soc_min)
         island = seen.forecast.grid_limit_kw[:1] <= 0.0
         parts = parts_of(site, seen.forecast.out.part(slice(1)), held, island, needs_former)
         everyone = np.ones((1, len(site.customers)), dtype=bool)
@@ -114,7 +87,7 @@ class StepState:
             now.eta_charge,
             now.eta_discharge,
             now.delta_pu2[0],
-            able,
+            seen.online,
             seen.forecast.export_now_kw,
             now.drawn,
             own_v_pu,

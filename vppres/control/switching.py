@@ -84,26 +84,11 @@ class Begin:
 class Switching(InConfiguration):
     """Decides on switches, then as the controller of the configuration.
 
-    Parameters
-    ----------
-    day, controller_of, site_of, given
-        As those of :class:`InConfiguration`.
-    solver_of : callable or None
-        Makes the solver of bounds of a site; None where plans have other weights than it.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    limits : SolveLimits
-        Gap and time of a step.
-    within : Tolerances, optional
-        What a decision may be off by.
-
-    Attributes
-    ----------
-    last : Search
-        The search of the last step.
+    Parameters are those of :class:`InConfiguration`, but that ``solver_of`` is None where plans
+    have other weights than the site.
     """
 
-    last: Search
+    last: Search  #: the search of the last step
 
     def __init__(
         self,
@@ -410,22 +395,8 @@ class Switching(InConfiguration):
 class Search:
     """The best configuration of a step, and what is proven of all others.
 
-    Parameters
-    ----------
-    of : Switching
-        Plans and bounds.
-    observation : Observation
-        What is known.
-    stay : Planned
-        The plan in the present configuration.
-    before : dict
-        Memory of its controller before the step.
-    begin : Begin
-        State from which operations begin.
-    limits : SolveLimits
-        Gap.
-    deadline : Deadline
-        When the step must be decided.
+    ``stay`` is the plan in the present configuration, and ``before`` the memory of its controller
+    before the step; operations begin from ``begin``.
     """
 
     def __init__(

@@ -58,10 +58,8 @@ def end_with(parent: int, bound: bool) -> None:
     Where the kernel does not do so, a thread looks twice a second; it has to wait while a solver
     holds the interpreter's lock.
 
-    Parameters
-    ----------
-    parent, bound
-        From :func:`me` in the parent; a process that gets its own number is left alone.
+    ``parent`` and ``bound`` come from :func:`me` in the parent; a process that gets its own number
+    is left alone.
     """
     if parent == os.getpid():
         return

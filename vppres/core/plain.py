@@ -25,12 +25,8 @@ Given = Mapping[type, Any]  # values that are known by their type, and so are no
 def to_plain(value: Any, given: Given | None = None) -> Any:
     """A value as JSON can hold it.
 
-    Parameters
-    ----------
-    value : object
-        A number, text, array, dataclass, or tuples and dictionaries of such.
-    given : mapping, optional
-        Types whose values are left out.
+    It is a number, text, array, dataclass, or tuples and dictionaries of such; values of types that
+    are ``given`` are left out.
 
     Examples
     --------
@@ -62,17 +58,9 @@ def to_plain(value: Any, given: Given | None = None) -> Any:
 def from_plain(kind: Any, plain: Any, where: str, given: Given | None = None) -> Any:
     """The value of a type that was written as a plain one.
 
-    Parameters
-    ----------
-    kind : type
-        What it is: a class, an array type of :mod:`vppres.core.arrays`, or a tuple, dictionary or
-        optional of such.
-    plain : object
-        What :func:`to_plain` made of it.
-    where : str
-        What is read, as problems name it.
-    given : mapping, optional
-        Values of the types that were left out.
+    ``kind`` is a class, an array type of :mod:`vppres.core.arrays`, or a tuple, dictionary or
+    optional of such; ``where`` is what is read, as problems name it. Values of the types that were
+    left out are ``given``.
 
     Raises
     ------

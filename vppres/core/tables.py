@@ -9,12 +9,7 @@ from pathlib import Path
 def packaged_table(module: str, name: str) -> list[dict[str, str]]:
     """The rows of a CSV table beside a module, as text by column.
 
-    Parameters
-    ----------
-    module : str
-        The module's ``__file__``.
-    name : str
-        File name of the table.
+    ``module`` is its ``__file__``.
     """
     with Path(module).with_name(name).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))

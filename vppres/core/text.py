@@ -80,13 +80,6 @@ def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
 
     Dollar signs, brackets, slashes and markup are allowed: a name is shown as it is.
 
-    Parameters
-    ----------
-    text : str
-        The name.
-    longest : int
-        Most characters.
-
     Returns
     -------
     tuple of str, or None

@@ -55,23 +55,10 @@ def make_controller(
 ) -> Decider:
     """The controller that the options name, with problems that are yet to be compiled.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its site, steps and tiers; no series of it reaches the controller.
-    options : RunOptions
-        Which controller, and whether it is guarded.
-    faults : FaultInjector, optional
-        What befalls its solvers.
-    grid : TimeGrid, optional
-        Steps that there may be, where they are not the scenario's.
-    make_solver : callable, optional
-        Makes the solver of a site; that of the options if not given.
-    own : Own, optional
-        What replaces the controller that the options name, or the weights of its customers; given
-        for a simulated day only.
-    measured : bool, optional
-        Whether switches may be found in other states than the scenario's.
+    No series of the scenario reaches the controller. ``grid`` has the steps that there may be,
+    where they are not the scenario's; ``make_solver`` makes the solver of a site, and ``own``
+    replaces the controller that the options name, or the weights of its customers, of a simulated
+    day. Where states are ``measured``, switches may be found in others than the scenario's.
 
     Raises
     ------

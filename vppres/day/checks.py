@@ -22,15 +22,6 @@ BALANCED = "remove the folder's phase_*.csv for its balanced equivalent"
 def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     """Refuse what the plans of a run cannot hold.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The site and its day.
-    options : RunOptions
-        Those of the run, with the scenario's where they left it the choice.
-    grid : TimeGrid
-        Its steps.
-
     Raises
     ------
     InputError

@@ -94,13 +94,6 @@ class MeasuredForecasts:
     Prices, temperature and grid availability are those of the scenario. Of an item that was never
     measured, and of everything until a whole day has been, the scenario's own series are the
     forecast; ``bases`` says for each step what its forecast rested on.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The day as it comes.
-    forecaster : ForecastMethod
-        Who learns from it.
     """
 
     def __init__(self, scenario: Scenario, forecaster: ForecastMethod) -> None:

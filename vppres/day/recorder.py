@@ -95,12 +95,7 @@ def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
 class Recorder:
     """Collects the steps of a run, in order.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The day that is run.
-    branches : Branches, optional
-        Its lines and ties, in runs that move switches.
+    ``branches`` are the lines and ties, in runs that move switches.
     """
 
     def __init__(self, scenario: Scenario, branches: Branches | None = None) -> None:

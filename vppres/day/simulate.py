@@ -188,7 +188,8 @@ class Day:
             s.eta_discharge,
             self.plant.switching,
             self.plant.owed,
-            self.operating_point,
+            np.ones(len(s.soc), dtype=bool),
+            operating_point=self.operating_point,
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
@@ -272,7 +273,7 @@ class Day:
                 lines_out=out.lines[0],
             )
         )
-        self.battery_kw = realised.charge_kw - realised.discharge_kw
+        self.battery_kw = realised.battery_kw
         # An island that batteries hold has no meter of import; what was not found is no reading.
         metered = not (self._held_by_batteries(t) or done.ac_failed)
         self.import_kw = result.p_slack_kw if metered else None

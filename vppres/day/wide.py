@@ -28,13 +28,6 @@ class Wide:
 
     Rows are the beginnings of steps; ``soc`` has one more, the end of the last step. A column that
     several tables have is asked for with its table: ``run.t.of("gensets", "p_kw")``.
-
-    Parameters
-    ----------
-    tables : mapping
-        Tables of a run with a row for each step and item, by name.
-    end : pandas.Timestamp
-        End of the last step.
     """
 
     def __init__(self, tables: dict[str, pd.DataFrame], end: pd.Timestamp) -> None:

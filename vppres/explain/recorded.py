@@ -63,12 +63,8 @@ BY_PARTS = (FormerPhases, LinesOut)
 class Recorded:
     """A finished run, step by step.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The run. Columns that only some modes write are used where they are there.
-    weight : array, shape (C,), optional
-        Weights of its plans; those of the scenario if not given.
+    Columns that only some modes write are used where they are there. Without a ``weight``, (C,),
+    plans have that of the scenario.
     """
 
     def __init__(self, trajectory: Trajectory, weight: Floats | None = None) -> None:
@@ -384,6 +380,7 @@ class Recorded:
             self._eta_discharge[t],
             SwitchingState.start(SwitchingRules(), self.site.dt_h, len(self.site.customers)),
             self._owed[t],
+            ~self.left_out(t),
             ahead=self._ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends),
             ends=ends,

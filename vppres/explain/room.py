@@ -19,14 +19,7 @@ from vppres.model.phases import Slopes, phased_model
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
     """Limits that the whole demand of a customer exceeds or has a price in; the scarce one first.
 
-    Parameters
-    ----------
-    step : Step
-        The step.
-    customer : int
-        Off in it.
-    binding : str
-        What is scarce for a share of the customer.
+    ``binding`` is what is scarce for a share of the customer, who is off in the step.
     """
     priced = {name for name, cost in step.supply_cost.items() if cost[customer] > WORTH}
     needed_kw = _needed_kw(step, customer)

@@ -91,19 +91,7 @@ class Reason:
 
 
 class Step:
-    """A step of a run with its shadow prices.
-
-    Parameters
-    ----------
-    recorded : Recorded
-        The run.
-    t : int
-        The step.
-    phase : str
-        Its phase.
-    prices : StepPrices
-        Its shadow prices.
-    """
+    """A step of a run with its shadow prices."""
 
     def __init__(self, recorded: Recorded, t: int, phase: Phase, prices: StepPrices) -> None:
         self.recorded = recorded

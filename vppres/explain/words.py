@@ -159,17 +159,8 @@ def service_words(step: Step, value: float, kwh: float = 1.0) -> str:
 def hours(value: float, ranks: Ranks | None, load_kw: Floats, kwh: float = 1.0) -> str:
     """Service in words: weighted customer hours; in strict order a time of supply in one tier.
 
-    Parameters
-    ----------
-    value : float
-        In weighted customer hours.
-    ranks : Ranks, optional
-        The strict order.
-    load_kw : array, shape (W, C)
-        Demand of the customers that it may be about: it is about the tier of the one whose supply
-        is worth most nearly as much for so much energy.
-    kwh : float, optional
-        Energy that adds or takes this service.
+    In strict order it is about the tier of the customer, by ``load_kw``, (W, C), whose supply is
+    worth most nearly as much for the energy ``kwh`` that adds or takes this service.
 
     Examples
     --------

@@ -16,33 +16,20 @@ from vppres.kinds.kind import Followers, Kind, Moment, UnitsAhead, UnitsNow
 
 
 class DataPart(Protocol):
-    """``data``: tables of the scenario, and names.
+    """``data``: tables of the scenario, and names."""
 
-    Attributes
-    ----------
-    KIND : Kind
-        Its names.
-    """
-
-    KIND: Kind
+    KIND: Kind  #: its names
 
     def contents(self, content: Mapping[str, Any]) -> str:
         """How many there are in words, from the counts of a scenario."""
 
 
 class PhysicsPart(Protocol):
-    """``physics``: arithmetic of windows and of the plant.
+    """``physics``: arithmetic of windows and of the plant."""
 
-    Attributes
-    ----------
-    WINDOW : type of UnitsAhead
-        Its ``of(scenario, steps, state, past_days)`` is the window that begins with a state.
-    PLANT : type of Followers
-        It is made of a scenario.
-    """
-
+    #: Its ``of(scenario, steps, state, past_days)`` is the window that begins with a state.
     WINDOW: type[UnitsAhead]
-    PLANT: Callable[[Any], Followers]
+    PLANT: Callable[[Any], Followers]  #: it is made of a scenario
 
     def check_prices(self, scenario: Any, horizon_h: float, seed: int) -> None:
         """Refuse prices of energy beside which what is missed counts nothing."""
@@ -74,54 +61,29 @@ class RecordPart(Protocol):
 
 
 class ReasonsPart(Protocol):
-    """``reasons``: why units did what they did.
+    """``reasons``: why units did what they did."""
 
-    Attributes
-    ----------
-    ACTIONS : mapping
-        Words of each action that reasons are given for.
-    """
-
-    ACTIONS: Mapping[str, str]
+    ACTIONS: Mapping[str, str]  #: words of each action that reasons are given for
 
     def reasons(self, step: Any) -> Iterator[tuple[str, str, Any]]:
         """Name of a unit, its action, and the reason."""
 
 
 class LivePart(Protocol):
-    """``live``: readings, estimates and set-points.
+    """``live``: readings, estimates and set-points."""
 
-    Attributes
-    ----------
-    RANGES : mapping
-        Plausible numbers of each field that a measurement has for the kind.
-    QUANTITIES : tuple of str
-        Those of them that devices send to a service.
-    MEANS : tuple of str
-        Those that are means since the last decision.
-    HELD : tuple of str
-        Those that set-points change: they are followed from the time of a reading on.
-    SETPOINT : str
-        Number of a set-point that an operator gives.
-    NUMBERS : tuple of str
-        Columns of set-points without which a unit cannot follow.
-    FORESEEN : tuple of str
-        Tables of what a plan foresees.
-    SHOWN, FIGURES : tuple of str
-        Readings, and columns of the units' table, that the page of the service shows.
-    PAST : type
-        The units from a decision on with their set-points, written into a controller's state.
-    """
-
+    #: Plausible numbers of each field that a measurement has for the kind.
     RANGES: Mapping[str, Any]
-    QUANTITIES: tuple[str, ...]
-    MEANS: tuple[str, ...]
-    HELD: tuple[str, ...]
-    SETPOINT: str
-    NUMBERS: tuple[str, ...]
-    FORESEEN: tuple[str, ...]
+    QUANTITIES: tuple[str, ...]  #: those of them that devices send to a service
+    MEANS: tuple[str, ...]  #: those that are means since the last decision
+    HELD: tuple[str, ...]  #: those that set-points change: followed from a reading's time on
+    SETPOINT: str  #: number of a set-point that an operator gives
+    NUMBERS: tuple[str, ...]  #: columns of set-points without which a unit cannot follow
+    FORESEEN: tuple[str, ...]  #: tables of what a plan foresees
+    #: Readings, and columns of the units' table, that the page of the service shows.
     SHOWN: tuple[str, ...]
     FIGURES: tuple[str, ...]
+    #: The units from a decision on with their set-points, written into a controller's state.
     PAST: type[Any]
 
     def read(

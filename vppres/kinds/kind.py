@@ -22,35 +22,23 @@ class KindTable(Items):
     """A file of a kind in a scenario's folder: arrays by column.
 
     ``attributes.csv`` in the kind's folder has a line for each column.
-
-    Attributes
-    ----------
-    key : str
-        Name of the file without its ending, which is its key under ``[files]``.
-    model, about : str
-        Name of the model of a row, and what a row is, for the documentation.
-    references : tuple
-        Columns with identifiers of another table: the column, the key of that table, what it holds.
-    limits : tuple
-        Columns that must not exceed another one of their row, with the cure where it is special.
-    names : str
-        Column of names that are shown; empty if there is none.
-    may_be_nan, may_be_infinite : tuple
-        Columns that may have no value, and those that may have no limit.
-    series : mapping
-        Series of its rows, and what each is, for the documentation. Each is a file with a column
-        for each row, by its identifier, and an array of the scenario by step, (T, n): the name is
-        the file's, the array's, and that of the number in ``attributes.csv``.
     """
 
-    key: ClassVar[str]
+    key: ClassVar[str]  #: name of the file without its ending, which is its key under ``[files]``
+    #: Name of the model of a row, and what a row is, for the documentation.
     model: ClassVar[str]
     about: ClassVar[str]
+    #: Columns with identifiers of another table: the column, the key of that table, what it holds.
     references: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    #: Columns that must not exceed another one of their row, with the cure where it is special.
     limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
-    names: ClassVar[str] = "id"
+    names: ClassVar[str] = "id"  #: column of names that are shown; empty if there is none
+    #: Columns that may have no value, and those that may have no limit.
     may_be_nan: ClassVar[tuple[str, ...]] = ()
     may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    #: Series of its rows, and what each is, for the documentation. Each is a file with a column for
+    #: each row, by its identifier, and an array of the scenario by step, (T, n): the name is the
+    #: file's, the array's, and that of the number in ``attributes.csv``.
     series: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
@@ -371,14 +359,8 @@ DEARER = 2.0
 def refuse_dear_energy(scenario: Any, what: str, worth: float) -> None:
     """Refuse prices of energy beside which what units miss would count nothing.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its prices and their weight.
-    what : str
-        What is missed, in words, with so many that share its price.
-    worth : float
-        Least worth of a missed kWh, in weighted customer hours; infinite if none is missed.
+    ``what`` is missed, in words, with so many that share its price; ``worth`` is the least worth of
+    a missed kWh in weighted customer hours, infinite if none is missed.
 
     Raises
     ------

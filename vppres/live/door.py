@@ -46,18 +46,8 @@ LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
 class Door:
     """Reads the parts of one measurement and collects their problems.
 
-    Parameters
-    ----------
-    grid : TimeGrid
-        The scenario's steps.
-    time : Any
-        Beginning of the step that is measured.
-    estimates : bool
-        Whether readings of now may be missing, since the guard estimates them.
-    where : str
-        What is read, as problems name it.
-    ranges : mapping, optional
-        Ranges of single assets, narrower than those of their quantity.
+    Where the guard ``estimates`` what is missing, readings of now may be. ``ranges`` are those of
+    single assets, narrower than those of their quantity.
 
     Attributes
     ----------

@@ -108,16 +108,8 @@ def extended(
 ) -> Scenario:
     """A scenario with more steps at its end.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What is known.
-    more : Feed or Scenario
-        Steps that begin where the known ones end; a scenario of the same site lends its series.
-    earliest : int
-        First step that is not decided yet.
-    replacing : bool, optional
-        Whether it may begin earlier, and replaces the known steps from there on.
+    ``earliest`` is the first step that is not decided yet. With ``replacing`` the steps may begin
+    earlier, and replace the known ones from there on.
 
     Raises
     ------

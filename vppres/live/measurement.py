@@ -212,18 +212,9 @@ def see(
 ) -> Seen:
     """Lay a measurement over a scenario.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What holds where nothing was measured.
-    measured : Measurement
-        The measurement; nothing of it is trusted.
-    guard : bool, optional
-        Whether a guard estimates what is missing; otherwise it is refused.
-    earliest : int, optional
-        First step that can still be decided.
-    before : callable, optional
-        Units as they were known before a step, or a moment within it, by kind.
+    Nothing of it is trusted: a ``guard`` estimates what is missing, otherwise it is refused.
+    ``earliest`` is the first step that can still be decided; ``before`` gives the units as they
+    were known before a step, or a moment within it, by kind.
 
     Raises
     ------

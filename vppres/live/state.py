@@ -296,7 +296,10 @@ def _with_empty_tables(state: dict[str, Any], start: Past, given: Given) -> dict
         duties = found["switching"] or switching
         limits = duties.get("longest_off_h") or switching["longest_off_h"]
         duties = {**duties, "longest_off_h": limits}
-        return found | {"switching": duties, "owed": found.get("owed") or owed}
+        found = found | {"switching": duties, "owed": found.get("owed") or owed}
+        if "soc" in found:  # an observation
+            found["online"] = found["online"] or [True] * len(found["soc"])
+        return found
 
     return _with_moments(state, partial(_everywhere, changed=filled))
 

@@ -23,14 +23,7 @@ def curtailed_kw(site: Site, wanted_kw: Floats, pv_kw: Floats, demand_kw: Floats
 
     The inverter passes no more than its rating, and what an owner uses cannot be curtailed.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    wanted_kw, pv_kw : array, shape (P,)
-        Curtailment that is asked for, and available power.
-    demand_kw : array, shape (C,)
-        Demand of those who are served.
+    ``demand_kw`` is that of those who are served, (C,).
     """
     usable = np.minimum(pv_kw, site.pv.s_max_kva)
     own = np.minimum(site.behind_meter(demand_kw), usable)
@@ -42,21 +35,12 @@ def curtailed_kw(site: Site, wanted_kw: Floats, pv_kw: Floats, demand_kw: Floats
 
 
 def bus_injections(site: Site, given: Mapping[str, Floats]) -> Floats:
-    """Net injections at all buses without the grid's supply: (9) less (10), or (12) less (13).
+    """Net injections (..., N) without the grid's supply: (9) less (10), or (12) less (13).
 
-    Parameters
-    ----------
-    site : Site
-        Where the devices are.
-    given : mapping of array
-        What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C) and the units (..., n)
-        of kinds of flexible power give, in kW or kvar: minus (1) for batteries, minus the demand of
-        those served for customers, PV power with self-consumption. It is summed in the order given,
-        which decides the last bit.
-
-    Returns
-    -------
-    array, shape (..., N)
+    ``given`` is what ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C) and the units
+    (..., n) of kinds of flexible power give, in kW or kvar: minus (1) for batteries, minus the
+    demand of those served for customers, PV power with self-consumption. It is summed in the order
+    given, which decides the last bit.
     """
     bus = {
         "pv": site.pv_bus,

@@ -23,20 +23,9 @@ from vppres.scenario.network import Network
 def delta_offset(
     network: Network, point: OperatingPoint | None, centre: Centre = "lossless"
 ) -> Floats:
-    """Offset of each line in pu², zero before the first AC solution.
+    """Offset of each line in pu², (L,), zero before the first AC solution.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    point : OperatingPoint or None
-        The last AC operating point.
-    centre : {"lossless", "literal", "none"}
-        Which flows belong to the AC voltages; ``none`` gives plain LinDistFlow.
-
-    Returns
-    -------
-    array, shape (L,)
+    ``centre`` says which flows belong to the AC voltages; ``none`` gives plain LinDistFlow.
 
     Examples
     --------
@@ -85,16 +74,8 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Whole
     network draws, so that the sum over the buses is zero. Behind a line that is out the first bus
     does so.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    v_pu : array, shape (N,), or None
-        Voltages of the last AC point; without one those at no load.
-    island : array of bool, shape (W,)
-        Steps without grid.
-    of_bus : array of int, shape (W, N)
-        Number of the part of each bus, which is its first bus.
+    ``v_pu`` are the voltages of the last AC point, without one those at no load; ``of_bus`` has the
+    first bus of the part of each bus, (W, N).
 
     Examples
     --------

@@ -77,19 +77,8 @@ def parts_of(
     A battery forms a part if it holds energy at first, or has been with the grid before in the
     window.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    out : OutOfService
-        Lines and buses that are out.
-    soc : array, shape (B,)
-        State of charge at first.
-    island : array of bool, shape (W,)
-        Steps without grid.
-    needs_former : bool
-        Whether the part with the grid's bus needs a former in these steps too, and only batteries
-        are planned to be one, as in physical mode and with phases.
+    With ``needs_former`` the part with the grid's bus needs one in these steps too, and only
+    batteries are planned to be one, as in physical mode and with phases.
     """
     if not out.lines.any():
         return Parts.one(site.network, len(soc), len(island))

@@ -55,13 +55,6 @@ class Slopes:
     Nothing is kept of all voltages and assets: what powers change is one solution of the network's
     equations, and so is a row of factors for one voltage.
 
-    Parameters
-    ----------
-    flow : PhasedFlow
-        The network with the source.
-    loadings : Loadings
-        Currents that have a rating.
-
     Attributes
     ----------
     former_p, former_q : array, shape (3, D)
@@ -283,14 +276,8 @@ class PhasedModel:
     def source_in(self, parts: Parts, island: bool, which: Flags | None = None) -> int:
         """Supply of a step in which lines are out.
 
-        Parameters
-        ----------
-        parts : Parts
-            Its parts, one step.
-        island : bool
-            Whether the grid is away.
-        which : array of bool, shape (N,), optional
-            Buses of the parts that have a source; all that something forms if not given.
+        ``which`` are the buses of the parts that have a source, (N,); all that something forms if
+        not given.
         """
         b, index = self.site.batteries, self.site.network.bus_index
         at = np.array([index[bus] for bus in b.bus], dtype=int)

@@ -42,14 +42,7 @@ Excess = dict[str, float]
 def broken(site: Site, data: WindowData, dispatch: Dispatch) -> list[str]:
     """Families of rows that a dispatch in the network breaks, empty if it is one of the window.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window, with the demand that the service brings about (``WindowData.for_service``).
-    dispatch : Dispatch
-        Flows, reactive power and voltages included.
+    The window has the demand that the service brings about (``WindowData.for_service``).
     """
     found = excesses(site, data, dispatch)
     return [name for name, excess in found.items() if not excess <= 1.0]

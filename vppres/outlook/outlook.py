@@ -155,14 +155,8 @@ class OutageOutlook:
     def at(self, now: pd.Timestamp, n_steps: int, seen: Sequence[SeenOutage]) -> OutageBelief:
         """The belief at a step.
 
-        Parameters
-        ----------
-        now : pandas.Timestamp
-            Beginning of the present step.
-        n_steps : int
-            Steps T to look ahead, the present one included.
-        seen : sequence of SeenOutage
-            Outages so far, in their order; the last one lasts if the present step is one of it.
+        It looks ``n_steps`` ahead, the present one included. The last outage that was ``seen``
+        lasts if the present step is one of it.
         """
         lasting = _lasting_of(seen)
         step = pd.Timedelta(hours=self.step_h)
@@ -208,13 +202,6 @@ class OutageOutlook:
         """Outages that are announced by now, by their likely onset.
 
         Messages of one cause are one outage; the one that was spoken of last names it.
-
-        Parameters
-        ----------
-        now : pandas.Timestamp
-            Beginning of the present step.
-        seen : sequence of SeenOutage
-            Outages so far, in their order.
         """
         lasting = _lasting_of(seen)
         step = pd.Timedelta(hours=self.step_h)
@@ -370,12 +357,7 @@ def said_so_far(
 ) -> tuple[Announced, Floats] | None:
     """Outage that messages announce, and the probability of its onset in each step if it comes.
 
-    Parameters
-    ----------
-    messages : sequence of OutageWarning
-        In the order of their issue.
-    times : DatetimeIndex, length T
-        Beginnings of steps.
+    Messages stand in the order of their issue.
 
     Returns
     -------
@@ -421,12 +403,7 @@ def announced_by(
     What the last message leaves out stands as the one before said it. A message without any onset
     that comes during an outage, or an hour before it was seen, speaks of that one.
 
-    Parameters
-    ----------
-    messages : sequence of OutageWarning
-        Of one outage, by their issue, with what their presets say.
-    lasting : SeenOutage, optional
-        The present outage.
+    Presets of the messages are filled in; ``lasting`` is the present outage.
     """
     last = messages[-1]
     if last.all_clear:

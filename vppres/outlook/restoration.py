@@ -28,16 +28,8 @@ class Notices:
     ) -> Floats:
         """Likelihood of all that was said and not said, for each end of an outage.
 
-        Parameters
-        ----------
-        ends_h : array, shape (n,)
-            Ends in h from its beginning; each is that of a step which the outage still touches.
-        now_h : float
-            How long it has lasted.
-        said : sequence of tuple of float
-            Of each notice when it was given, and by when the grid was to be back.
-        dt_h : float
-            Length of a step in h.
+        Ends, in h from its beginning, are those of steps which the outage still touches. ``said``
+        has of each notice when it was given, and by when the grid was to be back.
 
         Examples
         --------

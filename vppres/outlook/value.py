@@ -133,23 +133,8 @@ def stored_value(
 ) -> StoredValue:
     """Value of what is stored behind the present step.
 
-    Parameters
-    ----------
-    belief : OutageBelief
-        States of the ``T`` steps.
-    fleet : EquivalentBattery
-        The batteries.
-    ahead : Ahead
-        What is expected of the steps.
-    gbp_per_kwh_lost : float
-        Value of lost load.
-    end_gbp : callable
-        What energies in kWh, (n,), are worth behind the last step.
-
-    Returns
-    -------
-    StoredValue
-        Concave, 0 for empty batteries and tanks, of ``PIECES`` pieces.
+    It is concave, 0 for empty batteries and tanks, and has ``PIECES`` pieces. ``end_gbp`` says what
+    energies in kWh, (n,), are worth behind the last step.
 
     Notes
     -----

@@ -30,14 +30,7 @@ TOLERANCE_KVA = 1e-3
 class FlowByPhase:
     """Power flow of a feeder with phases.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its network as a tree of buses, and its devices.
-    phases : Phases
-        Its phases.
-    buses : array of bool, shape (N,), optional
-        Buses of a part of the feeder, beyond which nothing draws or gives; all if not given.
+    Beyond the ``buses`` of a part of the feeder, (N,), nothing draws or gives.
     """
 
     def __init__(self, scenario: Scenario, phases: Phases, buses: Flags | None = None) -> None:
@@ -69,12 +62,8 @@ class FlowByPhase:
     def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
         """The flow of net injections at the places, generation positive.
 
-        Parameters
-        ----------
-        p_kw, q_kvar : array, shape (places,)
-            What loads draw at their rated voltage, and what others give.
-        reference : int, optional
-            Place of the device that is the source, 0 for the grid.
+        Loads draw this at their rated voltage. ``reference`` is the place of the source, 0 for the
+        grid.
 
         Raises
         ------
@@ -152,15 +141,7 @@ class FlowByPhase:
 
 
 class FlowOfPart(ACPowerFlow):
-    """Power flow of a part of a balanced feeder.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    buses, lines : array of bool, shape (N,), (L,)
-        Those of the part.
-    """
+    """Power flow of a part of a balanced feeder."""
 
     def __init__(self, network: Network, buses: Flags, lines: Flags) -> None:
         super().__init__(network.drawing_inside(buses, lines))
@@ -194,14 +175,7 @@ def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
 def flow_of_part(scenario: Scenario, buses: Flags, lines: Flags, island: bool) -> PowerFlow:
     """Power flow of a part: of the whole feeder, where nothing outside the part draws or gives.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The day.
-    buses, lines : array of bool, shape (N,), (L,)
-        Those of the part.
-    island : bool
-        Whether the grid does not reach it.
+    The grid does not reach an ``island``.
     """
     if scenario.phases:
         phases = scenario.phases.islanded if island else scenario.phases

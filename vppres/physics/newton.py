@@ -83,14 +83,8 @@ class Newton:
     def solve(self, start: Complexes, s_mva: Complexes, tolerance_mva: float) -> Complexes | None:
         """Voltages that carry injections to a tolerance; None if the method does not converge.
 
-        Parameters
-        ----------
-        start : array of complex, shape (N,)
-            Voltages in pu from which the method starts.
-        s_mva : array of complex, shape (N,)
-            Injections; the reference's is not used.
-        tolerance_mva : float
-            Largest mismatch of active or reactive power at any bus.
+        Voltages are in pu; the reference's injection is not used. ``tolerance_mva`` is the largest
+        mismatch of active or reactive power at any bus.
         """
         v = start
         with np.errstate(all="ignore"):  # a step too long is judged by its mismatch

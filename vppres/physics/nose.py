@@ -189,14 +189,8 @@ class _Tree:
 def follow(network: Network, p_mw: Floats, q_mvar: Floats, reference: int = 0) -> Followed:
     """Follow the power flow from no load to the given injections.
 
-    Parameters
-    ----------
-    network : Network
-        A tree of series impedances, with shunts at its buses.
-    p_mw, q_mvar : array, shape (N,)
-        Net injection of every bus, generation positive, its fixed demand taken off.
-    reference : int, optional
-        Position of the bus that has the source.
+    Injections are net, with the fixed demand of the buses taken off; ``reference`` is the position
+    of the bus that has the source.
 
     Examples
     --------

@@ -131,18 +131,8 @@ def flow_of_parts(
 ) -> PhasedFlow:
     """The flow of a feeder that lines which are out cut into parts.
 
-    Parameters
-    ----------
-    phases : Phases
-        The feeder.
-    assets : sequence of str
-        Devices in the order of their powers.
-    of_bus : mapping
-        Number of the part of each of its buses.
-    fed : tuple
-        Parts that have a source; nothing holds the others.
-    voltages_pu : tuple of float
-        The grid's voltage, and the lowest and the highest of plans.
+    ``fed`` are the parts that have a source; nothing holds the others. ``voltages_pu`` are the
+    grid's, and the lowest and the highest of plans.
     """
     if len(set(of_bus.values())) == 1:
         [(_, former)] = fed

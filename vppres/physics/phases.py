@@ -118,24 +118,12 @@ def _of_lines(phases: Phases) -> Any:
 
 
 class Turns(NamedTuple):
-    """Coils of transformers, one unit after the other, as a matrix for each side.
+    """Coils of transformers, one unit after the other, as a matrix for each side."""
 
-    Attributes
-    ----------
-    sides : tuple of sparse array
-        Voltages across the coils of voltages at nodes, (coils, nodes) each.
-    volts : tuple of array
-        Their nominal voltages in V, (coils,) each.
-    taps : tuple of array
-        Their taps, (coils,) each.
-    counts : array
-        How many pairs of coils each unit has.
-    """
-
-    sides: tuple[Any, Any]
-    volts: tuple[Floats, Floats]
-    taps: tuple[Floats, Floats]
-    counts: Wholes
+    sides: tuple[Any, Any]  #: voltages across the coils of voltages at nodes, (coils, nodes) each
+    volts: tuple[Floats, Floats]  #: their nominal voltages in V, (coils,) each
+    taps: tuple[Floats, Floats]  #: their taps, (coils,) each
+    counts: Wholes  #: how many pairs of coils each unit has
 
     @classmethod
     def of(cls, phases: Phases) -> Turns:

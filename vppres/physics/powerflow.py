@@ -150,18 +150,9 @@ class ACPowerFlow:
     def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
         """Power flow for the net injection of every bus.
 
-        Parameters
-        ----------
-        p_kw, q_kvar : array, shape (N,)
-            Net injection of all devices, generation positive. What is injected at the reference bus
-            lowers what its source gives.
-        reference : int, optional
-            Position of the bus with the only source, 0 for the grid. With another bus the network
-            is an island: the grid's bus has no source, so nothing can come from there.
-
-        Returns
-        -------
-        ACResult
+        That is of all devices, generation positive; at the reference bus it lowers what the source
+        gives. ``reference`` is the position of the bus with the only source, 0 for the grid. With
+        another bus the network is an island: nothing can come from the grid's bus.
 
         Raises
         ------

@@ -66,12 +66,7 @@ class HasThermalState(Protocol):
 def initial_state(batteries: Batteries, t_ambient_c: float) -> ThermalState:
     """State at the beginning of the day: nominal efficiencies, as the paper starts from.
 
-    Parameters
-    ----------
-    batteries : Batteries
-        ``t_initial_c`` that is NaN means the ambient temperature.
-    t_ambient_c : float
-        Ambient temperature of the first step.
+    ``t_initial_c`` that is NaN means the ambient temperature.
     """
     given = batteries.t_initial_c
     t_cell_c = np.where(np.isnan(given), t_ambient_c, given)
@@ -88,25 +83,9 @@ def advance(
 ) -> ThermalState:
     """State at the end of a step.
 
-    Parameters
-    ----------
-    batteries : Batteries
-        Nominal efficiencies and thermal constants.
-    scheme : {"off", "exact", "euler", "exact-joule-kw", "euler-joule-kw"}
-        ``"off"`` keeps the state. The last two read the Joule term in the wrong unit
-        (:func:`heat_kw`); they are there to show what that mistake does.
-    state : HasThermalState
-        State at the beginning of the step.
-    power : Power
-        Power held over the step.
-    t_ambient_c : float
-        Ambient temperature, held over the step.
-    dt_h : float
-        Step length in h.
-
-    Returns
-    -------
-    ThermalState
+    The power and the ambient temperature are held over the step. The scheme ``off`` keeps the
+    state; ``exact-joule-kw`` and ``euler-joule-kw`` read the Joule term in the wrong unit
+    (:func:`heat_kw`), to show what that mistake does.
 
     Raises
     ------
@@ -152,17 +131,9 @@ def heat_kw(
 
     ``Q = P_ch (1 - eta_ch) + P_dch (1 / eta_dch - 1) + P_batt² R_int(T) / U_batt²``
 
-    Parameters
-    ----------
-    batteries : Batteries
-        Electric constants.
-    power : Power
-        Power at the terminals.
-    state : HasThermalState
-        Temperature and efficiencies during the step.
-    joule_unit : {"w", "kw"}
-        ``P² R / U²`` gives watts for a power in watts. ``"kw"`` takes that number as kW, a factor
-        1000 too much: a sensitivity, not a model.
+    The power is that at the terminals. ``P² R / U²`` gives watts for a power in watts; the
+    ``joule_unit`` ``"kw"`` takes that number as kW, a factor 1000 too much: a sensitivity, not a
+    model.
     """
     conversion = power.charge_kw * (1.0 - state.eta_charge) + power.discharge_kw * (
         1.0 / state.eta_discharge - 1.0

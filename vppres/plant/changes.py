@@ -8,30 +8,13 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.table import KINDS
-from vppres.plant.plant import Plant, Powers, Realised
+from vppres.plant.plant import Plant, Powers
 
 TAKE_LESS = tuple(kind for kind in reversed(KINDS) if KINDS[kind].takes_less)
 """Kinds that take less, in this order, before an island's batteries give more."""
 
 CUT_MARGIN_KW = 1e-3
 """Margin of a cut beyond the need, so that the set has something left to settle with."""
-
-
-def powers_of(realised: Realised) -> Powers:
-    """The powers of a step that happened."""
-    return Powers(
-        realised.served,
-        realised.pv_self_kw,
-        realised.pv_export_kw,
-        realised.pv_curtailed_kw,
-        realised.pv_q_kvar,
-        realised.charge_kw - realised.discharge_kw,
-        realised.batt_q_kvar,
-        realised.share,
-        realised.taken_kw,
-        realised.running,
-        next(iter(realised.forming), None),
-    )
 
 
 def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
@@ -68,8 +51,8 @@ def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
 def forms(powers: Powers, kind: str) -> Flags:
     """Units of a kind that form the grid, (n,)."""
     which = np.zeros(len(powers.taken_kw[kind]), dtype=bool)
-    if kind == "gensets" and powers.forming is not None:
-        which[powers.forming.genset] = True
+    if kind == "gensets":
+        which[[one.genset for one in powers.forming]] = True
     return which
 
 

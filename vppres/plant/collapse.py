@@ -31,19 +31,6 @@ def realise(
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
     If not even the empty feeder has a solution with PV, sets and batteries running, they stop too.
     A power flow that was merely not found sheds no customer: its best answer is recorded as such.
-
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    flow : PowerFlow
-        Power flow of its feeder.
-    t : int
-        Step.
-    decision : Decision
-        What was decided.
-    state : BatteryState
-        State at the beginning of the step.
     """
     failed = ""
     for shed, tried in _with_less_load(plant.scenario, t, decision):
@@ -65,7 +52,7 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
     return Settled(
         realised,
         ac,
-        np.zeros(len(realised.charge_kw)),
+        np.zeros(len(realised.battery_kw)),
         asked & ~realised.served,
         ac_failed=ac_failed,
     )

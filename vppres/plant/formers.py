@@ -104,14 +104,13 @@ class FormingSet:
         running = powers.running["gensets"].copy()
         running[self.genset] = True
         return replace(
-            powers, running={**powers.running, "gensets": running}, forming=SetForms(self.genset)
+            powers, running={**powers.running, "gensets": running}, forming=(SetForms(self.genset),)
         )
 
     def feeding(self, powers: Powers, kvar: float) -> Powers:
         """The powers with so much more reactive power of the set."""
-        before = powers.forming
-        assert before is not None
-        return replace(powers, forming=replace(before, q_kvar=before.q_kvar + kvar))
+        (before,) = powers.forming
+        return replace(powers, forming=(replace(before, q_kvar=before.q_kvar + kvar),))
 
     def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
         """A deficit that the set takes up, and what it cannot take of it."""
@@ -130,9 +129,8 @@ class FormingSet:
 
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the set beyond what its power factor allows."""
-        assert powers.forming is not None
-        most_kvar = self.plant.scenario.gensets.q_max_kvar[self.genset]
-        return float(abs(powers.forming.q_kvar) - most_kvar)
+        (own,) = powers.forming
+        return float(abs(own.q_kvar) - self.plant.scenario.gensets.q_max_kvar[self.genset])
 
 
 Former = FormingBatteries | FormingSet

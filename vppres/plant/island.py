@@ -31,7 +31,6 @@ from vppres.plant.changes import (
     curtailed,
     forms,
     part_of,
-    powers_of,
     spare,
     taking,
     taking_less,
@@ -127,16 +126,7 @@ class Balance:
 class IslandPlant:
     """Plant of an island's step.
 
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    flow : PowerFlow
-        Power flow of its feeder.
-    inside : PartOfPlant, optional
-        Devices of the island, where it is a part of the feeder; all if not given.
-    where : str, optional
-        Which part it is, in words.
+    Of a part of the feeder it has the devices ``inside``; ``where`` says in words which part it is.
     """
 
     def __init__(
@@ -153,14 +143,7 @@ class IslandPlant:
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
         """Share the mismatch of step ``t``, cut what the set cannot carry, or go dark.
 
-        Parameters
-        ----------
-        t : int
-            The step.
-        planned : Realised
-            Set-points as far as the devices can follow them.
-        state : BatteryState
-            State before the step.
+        ``planned`` are set-points as far as the devices can follow them.
         """
         dark = None
         for former in self._possible_formers(t, planned, state):
@@ -216,7 +199,7 @@ class IslandPlant:
         self, t: int, planned: Realised, state: BatteryState, former: Former, helpers: Flags
     ) -> Settled:
         """The step with this former and the help of some batteries, (B,)."""
-        set_points = powers = former.begin(powers_of(planned))
+        set_points = powers = former.begin(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw)
         devices += sum(len(taken_kw) for taken_kw in planned.taken_kw.values())
@@ -421,8 +404,9 @@ def shedding_order(scenario: Scenario, t: int) -> list[int]:
 
 
 def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
-    """Power of the set that forms the grid beyond its set-point."""
-    if powers.forming is None:
-        return 0.0
-    one = powers.forming.genset
-    return float(set_points.taken_kw["gensets"][one] - powers.taken_kw["gensets"][one])
+    """Power of the set that forms the grid, if one does, beyond its set-point."""
+    beyond_kw = 0.0
+    for one in powers.forming:
+        asked_kw, taken_kw = (each.taken_kw["gensets"] for each in (set_points, powers))
+        beyond_kw += float(asked_kw[one.genset] - taken_kw[one.genset])
+    return beyond_kw

@@ -34,13 +34,7 @@ class SettledPart:
 
 
 class PlantInParts:
-    """Plant of steps in which lines are out.
-
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    """
+    """Plant of steps in which lines are out."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
@@ -61,20 +55,8 @@ class PlantInParts:
     ) -> Settled:
         """Outcome of a decision, part by part.
 
-        Parameters
-        ----------
-        t : int
-            The step.
-        decision : Decision
-            Set-points of all parts.
-        state : BatteryState
-            State before the step.
-        out : OutOfService
-            What is out, of which the first step counts.
-        held : bool
-            Whether the part with the grid's bus is an island too that holds itself.
-        online : array of bool, shape (B,)
-            Batteries that are able to work.
+        The first step of ``out`` counts. With ``held`` the part with the grid's bus is an island
+        too that holds itself.
         """
         of_bus = parts_by_bus(self.network, out.lines[:1])[0]
         found = [
@@ -184,7 +166,7 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
         "served": inside.customers,
         "load_kw": inside.customers,
         **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar"), inside.pv),
-        **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc_end"), inside.batteries),
+        **dict.fromkeys(("battery_kw", "batt_q_kvar", "soc_end"), inside.batteries),
         **dict.fromkeys(("p_injection_kw", "q_injection_kvar"), inside.places),
     }
     changed: dict[str, Any] = {

@@ -7,7 +7,7 @@ physics lets it and says where it did not; it shares data with the optimiser, ne
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -69,37 +69,30 @@ class Powers:
     share: Floats | float = 1.0
     taken_kw: Mapping[str, Floats] = field(default_factory=dict)
     running: Mapping[str, Flags] = field(default_factory=dict)
-    forming: SetForms | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Realised:
-    """One step as it happened; powers in kW and kvar, injections positive as generation.
-
-    ``p_injection_kw`` and ``q_injection_kvar`` are those of the places (``Plant.places``).
-
-    ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
-    ``taken_kw`` is what each unit of flexible power took, ``running`` which were on, by kind.
-    """
-
-    served: Flags
-    pv_self_kw: Floats
-    pv_export_kw: Floats
-    pv_curtailed_kw: Floats
-    pv_q_kvar: Floats
-    charge_kw: Floats
-    discharge_kw: Floats
-    batt_q_kvar: Floats
-    soc_end: Floats
-    p_injection_kw: Floats
-    q_injection_kvar: Floats
-    clipped_kw: float
-    load_kw: Floats
-    share: Floats | float = 1.0
-    taken_kw: Mapping[str, Floats] = field(default_factory=dict)
-    running: Mapping[str, Flags] = field(default_factory=dict)
     #: Generating sets that form the grids of islands: one at most in each part of the feeder.
     forming: tuple[SetForms, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Realised(Powers):
+    """One step as it happened: its powers, and what followed from them."""
+
+    load_kw: Floats  #: demand, served or not, (C,)
+    soc_end: Floats  #: states of charge at the end of the step, (B,)
+    #: Net injections at the places (``Plant.places``), positive as generation.
+    p_injection_kw: Floats
+    q_injection_kvar: Floats
+    clipped_kw: float  #: largest power by which devices could not follow their set-points
+
+    @property
+    def charge_kw(self) -> Floats:
+        """Power that batteries took, (B,)."""
+        return np.maximum(self.battery_kw, 0.0)
+
+    @property
+    def discharge_kw(self) -> Floats:
+        """Power that batteries gave, (B,)."""
+        return np.maximum(-self.battery_kw, 0.0)
 
     @property
     def flexible_kw(self) -> float:
@@ -110,14 +103,7 @@ class Realised:
 class Plant:
     """The actual day of a scenario.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The actual series and the assets.
-    thermal : ThermalScheme
-        How the batteries' temperature and efficiencies evolve.
-    rules : SwitchingRules, optional
-        How demand behaves after a restoration; nothing else of them matters here.
+    Of the switching rules it has how demand behaves after a restoration.
     """
 
     def __init__(
@@ -240,8 +226,6 @@ class Plant:
         """Injections at places and batteries' states after powers that are within all limits."""
         b = self.scenario.batteries
         load_kw = self.load_kw(t, powers.served)
-        charge = np.maximum(powers.battery_kw, 0.0)
-        discharge = np.maximum(-powers.battery_kw, 0.0)
         p, q = self._injections(
             load_kw * powers.served * powers.share,
             powers.pv_self_kw,
@@ -253,31 +237,24 @@ class Plant:
             np.add.at(p, self.places.units[kind], -each_kw)
         np.add.at(q, self.places.pv, powers.pv_q_kvar)
         np.add.at(q, self.places.batteries, powers.batt_q_kvar)
-        if powers.forming is not None:
-            q[self.places.units["gensets"][powers.forming.genset]] += powers.forming.q_kvar
+        for one in powers.forming:
+            q[self.places.units["gensets"][one.genset]] += one.q_kvar
         soc = self.batteries_ahead(state).after(powers.battery_kw)
         soc_end = np.clip(soc, b.soc_min, b.soc_max)
-        return Realised(
-            powers.served,
-            powers.pv_self_kw,
-            powers.pv_export_kw,
-            powers.pv_curtailed_kw,
-            powers.pv_q_kvar,
-            charge,
-            discharge,
-            powers.batt_q_kvar,
-            soc_end,
-            p,
-            q,
-            clipped_kw,
-            load_kw,
-            powers.share,
-            taken_kw,
-            {
+        of_units = {
+            "taken_kw": taken_kw,
+            "running": {
                 kind: np.asarray(powers.running.get(kind, np.zeros(len(each_kw), dtype=bool)))
                 for kind, each_kw in taken_kw.items()
             },
-            () if powers.forming is None else (powers.forming,),
+        }
+        return Realised(
+            **{f.name: getattr(powers, f.name) for f in fields(Powers)} | of_units,
+            load_kw=load_kw,
+            soc_end=soc_end,
+            p_injection_kw=p,
+            q_injection_kvar=q,
+            clipped_kw=clipped_kw,
         )
 
     def connected_kw(self, taken_kw: Mapping[str, Floats], served: Flags) -> dict[str, Floats]:

@@ -72,20 +72,8 @@ class OnPhases:
     ) -> Powers | None:
         """Powers with less on the fullest phase, all customers on; None if there are none.
 
-        Parameters
-        ----------
-        t : int
-            The step.
-        powers : Powers
-            Its powers.
-        ac : ACResult
-            Their power flow.
-        need_kw : float
-            What the former's phases lack, if all lacked what the fullest does.
-        room_kw : array, shape (B,)
-            Further discharge of batteries.
-        former : Former
-            What forms the island.
+        ``need_kw`` is what the former's phases lack, if all lacked what the fullest does;
+        ``room_kw`` the further discharge of batteries, (B,).
         """
         fullest = ac.fullest
         if ac.source_kva[fullest].real < 0.0:

@@ -541,15 +541,7 @@ def _name_bus(ax: Axes, name: str, place: tuple[float, float]) -> None:
 
 
 class _Marks:
-    """Marks of what is at buses, one kind below the other.
-
-    Parameters
-    ----------
-    x, y : array, shape (N,)
-        Where the buses are.
-    ax : Axes
-        Where to draw.
-    """
+    """Marks of what is at buses, one kind below the other."""
 
     def __init__(self, x: Floats, y: Floats, ax: Axes) -> None:
         self.x, self.y, self.ax = x, y, ax

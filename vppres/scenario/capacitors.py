@@ -38,17 +38,7 @@ def too_large(network: Network, formers_kva: float) -> Flags:
 
 
 def too_large_by_phase(network: Network, phases: Phases, former_kva: float) -> Flags:
-    """Buses with capacitors that a third of a battery cannot hold on one of their phases, (N,).
-
-    Parameters
-    ----------
-    network : Network
-        The feeder, as it is in an island.
-    phases : Phases
-        The capacitors of each phase; those that are off in islands do not count.
-    former_kva : float
-        Inverter rating of the battery that forms the island.
-    """
+    """Buses with capacitors that a third of a battery cannot hold on one of their phases, (N,)."""
     _, of_lines_kvar = _at_no_load(network)
     held_kvar = np.full(len(PHASES), of_lines_kvar / len(PHASES))
     off = np.zeros(network.n_buses, dtype=bool)

@@ -125,12 +125,8 @@ class Branches:
         Those with a switch that is operable and not locked. A line that a fault takes out in the
         window is opened by it, and one that was left open is closed by the crew that repaired it.
 
-        Parameters
-        ----------
-        open_now : array of bool, shape (E,)
-            Branches that are open at its beginning.
-        out : OutOfService
-            Lines and buses that are out in the window, in the scenario's own order.
+        ``open_now`` are branches that are open at its beginning, (E,); ``out`` is in the scenario's
+        own order.
         """
         switches, net = self.switches, self.network
         able = np.append(switches.movable, False)[self.switch]
@@ -269,14 +265,7 @@ def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
 def forest(ends: Wholes, branches: Wholes, n_buses: int) -> tuple[Flags, Wholes]:
     """Branches that join two blocks, taken one after another, and the blocks in the end.
 
-    Parameters
-    ----------
-    ends : array of int, shape (E, 2)
-        Buses of all branches.
-    branches : array of int
-        The branches that are taken, in order.
-    n_buses : int
-        Number of buses.
+    ``branches`` are taken in their order, and ``ends`` are the buses of all, (E, 2).
 
     Returns
     -------
@@ -361,15 +350,6 @@ class Configured:
 
 def in_configuration(day: Scenario, branches: Branches, closed: Flags) -> Configured:
     """The day in a configuration.
-
-    Parameters
-    ----------
-    day : Scenario
-        The day, in the configuration in which it begins.
-    branches : Branches
-        Its lines and ties.
-    closed : array of bool, shape (E,)
-        Those that are closed, without a loop.
 
     Raises
     ------

@@ -37,14 +37,7 @@ def unearthed(phases: Phases, bus: str, to_ground: bool) -> set[str]:
     All voltages to ground are shifted by 1 pu as far as no line and no transformer resists: what is
     earthed stays.
 
-    Parameters
-    ----------
-    phases : Phases
-        The feeder.
-    bus : str
-        Where the source is.
-    to_ground : bool
-        Whether it holds its phases against ground, or only against each other.
+    The source at ``bus`` holds its phases against ground, or only against each other.
 
     Examples
     --------

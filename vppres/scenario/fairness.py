@@ -68,16 +68,7 @@ def rotated(
     The sum of each tier stays. No weight passes the middle between its tier and those above and
     below, so that a customer never overtakes one of another tier.
 
-    Parameters
-    ----------
-    customers : Customers
-        With their weights.
-    tiers : sequence of str
-        Names, the most important first.
-    off_h : array, shape (C,)
-        Hours off supply so far.
-    growth_per_h : float
-        Growth of a weight with each of them.
+    ``growth_per_h`` is the growth of a weight with each hour off supply, ``off_h``, (C,).
 
     Examples
     --------

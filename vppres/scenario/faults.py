@@ -148,13 +148,6 @@ def parts_by_bus(network: Network, lines: Flags) -> Wholes:
 
     The part with the grid's bus is 0, each other one is behind the line of its first bus.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder.
-    lines : array of bool, shape (W, L)
-        Lines that are out.
-
     Examples
     --------
     >>> net = Network([1, 2, 2], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0)

@@ -235,12 +235,7 @@ class Phases:
     def in_parts(self, of_bus: Mapping[str, int], islands: Collection[int]) -> Phases:
         """The tables without what joins parts, those of islands with their shunts and taps.
 
-        Parameters
-        ----------
-        of_bus : mapping
-            Number of the part of each bus.
-        islands : collection of int
-            Parts that are islands.
+        ``of_bus`` has the number of the part of each bus, and ``islands`` those that are islands.
         """
         alone = {bus for bus, number in of_bus.items() if number in islands}
         of_islands = self.islanded

@@ -48,16 +48,8 @@ class Ranks:
     ) -> Ranks:
         """Ranks of the customers for windows of so many steps.
 
-        Parameters
-        ----------
-        customers : Customers
-            With their tiers; their weights count within a tier alone.
-        tiers : sequence of str
-            Names, the most important first.
-        n_steps : int
-            Steps of the longest window.
-        action_price : float, optional
-            Price of disconnecting or restoring a customer, in customer hours of the last tier.
+        Weights of the customers count within a tier alone. ``action_price`` is that of
+        disconnecting or restoring a customer, in customer hours of the last tier.
 
         Examples
         --------
@@ -113,12 +105,7 @@ class Ranks:
 
         That of a tier holds for all schedules which supply the tiers above it as this one does.
 
-        Parameters
-        ----------
-        served : Flags
-            The schedule, (W, C).
-        bound : float
-            What no schedule's weights exceed, in units of the last tier.
+        ``bound`` is what no schedule's weights exceed, in units of the last tier.
         """
         found = self.supplied(np.ones_like(served))
         for k, supplied in enumerate(self.supplied(served)):

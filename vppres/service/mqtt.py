@@ -104,14 +104,8 @@ class Topics:
 class Bridge:
     """Carries readings one way and set-points the other.
 
-    Parameters
-    ----------
-    service : Client
-        The service, for a token with ``read`` and ``telemetry``.
-    topics : Topics
-        Names at the broker.
-    resolution : str
-        How long a reading holds, as the service has it.
+    The client has a token with ``read`` and ``telemetry``; ``resolution`` says how long a reading
+    holds.
     """
 
     def __init__(self, service: Client, topics: Topics, resolution: str = "PT1M") -> None:

@@ -81,30 +81,15 @@ def _begin(plan: Plan) -> pd.Timestamp:
 
 
 class OfKind:
-    """How the service speaks with the units of a kind; what most kinds have in common.
+    """How the service speaks with the units of a kind; what most kinds have in common."""
 
-    Attributes
-    ----------
-    kind : str
-        Its field in a scenario.
-    source : str
-        Who tells its readings in a simulation.
-    direction : {"", "charging_positive", "injection_positive"}
-        Which way a set-point's ``p_kw`` counts; empty if it has none.
-    states : dict
-        Quantities by which a unit is there or can work, and what stands until they are read.
-    of_visits : tuple of str
-        Quantities that are read anew of every unit that comes.
-    told_once : tuple of str
-        Quantities that are said when they change alone: they are never late.
-    """
-
-    kind: str
-    source: str
-    direction: Direction = ""
+    kind: str  #: its field in a scenario
+    source: str  #: who tells its readings in a simulation
+    direction: Direction = ""  #: which way a set-point's ``p_kw`` counts; empty if it has none
+    #: Quantities by which a unit is there or can work, and what stands until they are read.
     states: ClassVar[Mapping[str, float]] = {}
-    of_visits: tuple[str, ...] = ()
-    told_once: tuple[str, ...] = ()
+    of_visits: tuple[str, ...] = ()  #: quantities that are read anew of every unit that comes
+    told_once: tuple[str, ...] = ()  #: quantities that are said when they change: never late
 
     @property
     def live(self) -> Any:

@@ -55,14 +55,7 @@ def better(one: WindowSolution, other: WindowSolution, limits: SolveLimits) -> W
 def solve_apart(data: WindowData, limits: SolveLimits, solve: SolveStep) -> WindowSolution:
     """Solve a window step by step.
 
-    Parameters
-    ----------
-    data : WindowData
-        A window that falls apart.
-    limits : SolveLimits
-        Of the whole window: a step gets its share of the absolute gap and of the time left.
-    solve : callable
-        Solves the window of one step.
+    A step gets its share of the absolute gap and of the time left.
 
     Raises
     ------

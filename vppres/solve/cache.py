@@ -21,11 +21,6 @@ class ModelCache:
 
     The cache knows no problem: the caller says what makes it. A problem is filled
     completely before every solve, so nothing leaks from one window into the next.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
     """
 
     def __init__(self, site: Site) -> None:
@@ -48,12 +43,8 @@ class ModelCache:
     ) -> M:
         """The problem that ``make`` makes of the site for a shape, made where it is not there yet.
 
-        Parameters
-        ----------
-        make : callable
-            Makes the problem: ``(site, **shape) -> problem``.
-        **shape
-            What the problem is compiled for, its number of steps and its mode; hashable.
+        ``make`` makes it: ``(site, **shape) -> problem``. The shape, such as a number of steps and
+        a mode, is hashable.
 
         Examples
         --------

@@ -96,15 +96,6 @@ class CostRange:
 class Certificate:
     """The best dispatch of a window so far, bounds on what any other is worth, and the record.
 
-    Parameters
-    ----------
-    limits : SolveLimits
-        Gaps at which a window is done.
-    lambda_grid : float
-        Weight of cost.
-    cost : CostRange
-        What any dispatch may cost.
-
     Attributes
     ----------
     best : Candidate or None

@@ -110,23 +110,11 @@ def dispatch_of(
 ) -> Candidate | None:
     """Cheapest dispatch of a supply schedule, by the first way that has one.
 
-    Parameters
-    ----------
-    task : WindowTask
-        The window.
-    served : Flags
-        Who is served, (W, C).
-    network : bool, optional
-        Whether the network must carry it.
-    before : Dispatch, optional
-        A plan for the schedule. Where batteries' turns would have to be searched for, its turns are
-        tried first: others were never worth more by the gap, and took as long to find as the set.
-    charges : Flags, optional
-        Which batteries charge where they waste energy, (W, B), in a window with phases.
-    keeps_turns : bool, optional
-        Whether there is no dispatch but with the turns of the plan.
-    fleet : bool, optional
-        Whether the cost without the network is tried first, since most networks carry it.
+    Where the ``network`` must carry it and batteries' turns would have to be searched for, those of
+    the plan ``before`` are tried first: others were never worth more by the gap, and took as long
+    to find as the set. With ``keeps_turns`` there is no dispatch but with them; ``charges`` says
+    which batteries charge where they waste energy, (W, B), in a window with phases. With ``fleet``
+    the cost without the network is tried first, since most networks carry it.
     """
     ways = _ways(task, served, network, before, charges, keeps_turns, fleet)
     return next((found for found in ways if found is not None), None)

@@ -130,14 +130,9 @@ class Worker:
             self._warm.popitem(last=False)
 
     def ask(self, task: Task, within_s: float) -> Reply:
-        """Do a task.
+        """Do a task, whose setup is sent only where the process lacks it.
 
-        Parameters
-        ----------
-        task : Task
-            With its setup, which is sent only where the process lacks it.
-        within_s : float
-            Time until the reply, once the process is ready, in s.
+        The time until the reply counts from when the process is ready.
 
         Raises
         ------
@@ -280,10 +275,7 @@ def _signal_name(number: int) -> str:
 class Workers:
     """Processes that wait for tasks; a thread that finds none idle starts another.
 
-    Parameters
-    ----------
-    memory_bytes : int, optional
-        What each may allocate; half of what there is if not given.
+    Each may allocate ``memory_bytes``, half of what there is if not given.
     """
 
     def __init__(self, memory_bytes: int | None = None) -> None:
@@ -304,14 +296,8 @@ class Workers:
     def ask(self, task: Task, kind: object, within_s: Callable[[bool], float]) -> Reply:
         """Do a task in an idle process.
 
-        Parameters
-        ----------
-        task : Task
-            With its setup.
-        kind : object
-            Tasks of one kind and setup need the same problems.
-        within_s : callable
-            Time for the reply in s, given whether the process has done a task of that kind.
+        Tasks of one ``kind`` and setup need the same problems. ``within_s`` is the time for the
+        reply in s, given whether the process has done a task of that kind.
 
         Raises
         ------
@@ -497,14 +483,8 @@ class IsolatedSolver(WindowSolver):
     ) -> float:
         """Time after which the process is killed, in s.
 
-        Parameters
-        ----------
-        data : WindowData
-            The window.
-        compiled : bool
-            Whether the process has solved a window of that kind before.
-        within_s : float, optional
-            Time that the solver may take, in s, where that is less than its limit.
+        ``compiled`` says whether the process has solved a window of that kind before; the solver
+        may take ``within_s``, or its limit where that is less.
         """
         buses = self.site.network.n_buses
         seconds = self.limits.at_most(within_s).time_s + LATE_S + LATE_S_PER_BUS * buses

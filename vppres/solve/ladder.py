@@ -264,18 +264,9 @@ class WindowSolver:
     ) -> WindowSolution | None:
         """Cheapest dispatch of a supply schedule in the network, None if it has none; no bound.
 
-        Parameters
-        ----------
-        data : WindowData
-            What changes from window to window.
-        served : Flags
-            Who is served, (W, C).
-        before : Dispatch, optional
-            A plan for that set; its batteries' turns stand where others would have to be searched.
-        keeps_turns : bool, optional
-            Whether its turns are kept wherever they allow a dispatch.
-        within_s : float, optional
-            Time that it may take, in s, where that is less than the limit.
+        The plan ``before`` is one for that set: its batteries' turns stand where others would have
+        to be searched, and with ``keeps_turns`` wherever they allow a dispatch. It takes no longer
+        than ``within_s``, or its limit where that is less.
         """
         deadline = Deadline(self.limits.at_most(within_s).time_s)
         sound = data.with_sound_soc(self.site.batteries)
@@ -328,12 +319,7 @@ class WindowSolver:
     def fleet_bound(self, data: WindowData, within_s: float = math.inf) -> float:
         """Most that F can be in a window whose network carries everything; infinite if unknown.
 
-        Parameters
-        ----------
-        data : WindowData
-            What changes from window to window.
-        within_s : float, optional
-            Time that it may take, in s, where that is less than the limit.
+        It takes no longer than ``within_s``, or its limit where that is less.
         """
         sound = data.with_sound_soc(self.site.batteries)
         if self.method != "decomposed" or sound.limits_time_off:

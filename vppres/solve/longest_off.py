@@ -20,15 +20,6 @@ def solve_with_limits(
 ) -> WindowSolution:
     """Solve a window without its longest times off, and with them if the answer exceeds one.
 
-    Parameters
-    ----------
-    data : WindowData
-        A window with longest times off.
-    limits : SolveLimits
-        Of the whole window.
-    without, within : callable
-        Solve a window without them, and with them.
-
     Raises
     ------
     SolveError

@@ -36,12 +36,8 @@ class Lump:
 class Lumping:
     """Adds up the rows and columns of devices.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The compiled statement; it gets a letter for each sum.
-    letters : mapping
-        Letters that are added up over their last axis, with the weights of the devices in the sum.
+    The sheet gets a letter for each sum. ``letters`` are added up over their last axis, with the
+    weights of the devices in the sum.
 
     Attributes
     ----------

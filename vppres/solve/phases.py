@@ -80,17 +80,7 @@ class PhaseRows(Rows):
 
 
 class PhaseLimits:
-    """Limits of a window's voltages by phase, of its former's phases and of currents.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window, with phases.
-    problem : Selected
-        A selection of the statement, whose columns the rows are on.
-    """
+    """Limits of a window's voltages by phase, of its former's phases and of currents."""
 
     def __init__(self, site: Site, data: WindowData, problem: Selected) -> None:
         self.model = phased_model(site)

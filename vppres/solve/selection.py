@@ -366,16 +366,9 @@ class Selected:
 
     It is composed when it is asked for the first time.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The compiled statement.
-    select : callable
-        What it takes of the statement; called when the problem is composed.
-    conic : bool
-        Whether limits of columns are rows, for a solver that knows no others.
-    without : set of str
-        Letters that it has not, to know how large it is before it is composed.
+    ``select`` says what it takes of the statement. A ``conic`` one has limits of columns as rows,
+    for a solver that knows no others. ``without`` names letters that it has not, to know how large
+    it is before it is composed.
     """
 
     def __init__(

@@ -62,17 +62,7 @@ class PricedTerms:
 
 
 class ShadowPriceModel(Selected):
-    """The pricing problem over at most W steps, compiled once.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    n_steps : int
-        Steps W of the longest window.
-    beyond : tuple, optional
-        What it has beyond the paper.
-    """
+    """The pricing problem over at most W steps, compiled once."""
 
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site

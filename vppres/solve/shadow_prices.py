@@ -106,18 +106,7 @@ def price_window(
 ) -> PricedWindow | None:
     """Solve a window's pricing problem; None where it has no answer that the solver vouches for.
 
-    Parameters
-    ----------
-    model : ShadowPriceModel
-        Compiled for at least as many steps as the window has.
-    data : WindowData
-        The window as the controller saw it.
-    held : FixedDecisions
-        What is held of the record.
-    priced : PricedTerms
-        What is maximised.
-    time_s : float
-        Time limit in s.
+    ``held`` is held of the record, and ``priced`` is maximised.
 
     Raises
     ------

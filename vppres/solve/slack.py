@@ -19,15 +19,6 @@ GIVING = ("voltage_min", "voltage_max")
 def least_slack(site: Site, data: WindowData, time_s: float) -> float:
     """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window.
-    time_s : float
-        Time limit in s.
-
     Raises
     ------
     SolveError

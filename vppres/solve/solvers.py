@@ -41,20 +41,13 @@ class CvxpyResult:
 
 
 class Interface(NamedTuple):
-    """How cvxpy asks a solver.
+    """How cvxpy asks a solver."""
 
-    Attributes
-    ----------
-    options : callable
-        ``(absolute gap, seconds) -> options`` of the solver.
-    slack : callable
-        ``answer -> value - bound`` in the solver's own (minimising) sense.
-    ended : callable
-        ``answer -> Status`` for answers that cvxpy does not call optimal.
-    """
-
+    #: ``(absolute gap, seconds) -> options`` of the solver.
     options: Callable[[float, float], Mapping[str, Any]]
+    #: ``answer -> value - bound`` in the solver's own (minimising) sense.
     slack: Callable[[CvxpyResult], float]
+    #: ``answer -> Status`` for answers that cvxpy does not call optimal.
     ended: Callable[[CvxpyResult], Status]
 
 

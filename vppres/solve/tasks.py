@@ -95,13 +95,7 @@ class Reply:
 
 
 class Channel:
-    """One end of a socket that carries Python objects, each within a deadline.
-
-    Parameters
-    ----------
-    end : socket
-        Connected.
-    """
+    """One end of a socket that carries Python objects, each within a deadline."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end

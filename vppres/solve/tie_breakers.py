@@ -49,16 +49,8 @@ SHARPER = {
 class TieBreakers(Selected):
     """Tie-breakers over W steps; feasible exactly if the held values can be had in the network.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    sheet : Sheet
-        The compiled statement.
-    curtailing : bool
-        Whether PV power may be curtailed, up to the held sum.
-    moves : bool
-        Whether batteries are to stay near the previous plan.
+    With ``curtailing`` PV power may be curtailed, up to the held sum; with ``moves`` batteries are
+    to stay near the plan before.
 
     Attributes
     ----------

@@ -63,15 +63,7 @@ class Solvers:
 
 
 def serve(fd: int, memory_bytes: int) -> None:
-    """Do tasks until the other end of the socket is closed.
-
-    Parameters
-    ----------
-    fd : int
-        Number of the socket.
-    memory_bytes : int
-        What the process may allocate.
-    """
+    """Do tasks until the other end of the socket is closed."""
     _prepare()
     channel = Channel(socket.socket(fileno=fd))
     try:

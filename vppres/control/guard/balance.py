@@ -67,16 +67,7 @@ def mismatch_kw(
 ) -> float | None:
     """Import of the step before beyond what readings of that step explain.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    commanded : Commanded
-        What was decided for that step.
-    seen : Observation
-        The observation after it: import, service and battery power as they were.
-    readings : LoadAndPVReadings
-        Of that step.
+    ``commanded`` was decided for that step, and ``seen`` is the observation after it.
 
     Returns
     -------

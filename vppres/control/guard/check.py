@@ -24,32 +24,18 @@ from vppres.scenario.source import EXACT_PU
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Excess that a decision may have before it is refused.
+    """Excess that a decision may have before it is refused."""
 
-    Parameters
-    ----------
-    power_kw, power_share : float
-        On ratings, absolute and as a share of the rating.
-    soc : float
-        On the state of charge at the end of the step, as a share of capacity.
-    balance_kw : float
-        On the active balance of the step.
-    losses : bool
-        Whether plans set something aside for losses; the paper's have none.
-    loss_kw : float
-        What passes that agree may still be off by. Where the losses themselves are more, a plan
-        may be off by as much as they are, for passes that were used up before they agreed.
-    v_pu : float
-        On the voltages of the plan.
-    """
-
+    #: On ratings, absolute and as a share of the rating.
     power_kw: float = 0.01
     power_share: float = 1e-3
-    soc: float = 1e-4
-    balance_kw: float = 1.0
-    losses: bool = False
+    soc: float = 1e-4  #: on the state of charge at the end of the step, as a share of capacity
+    balance_kw: float = 1.0  #: on the active balance of the step
+    losses: bool = False  #: whether plans set something aside for losses; the paper's have none
+    #: What passes that agree may still be off by. Where the losses themselves are more, a plan may
+    #: be off by as much as they are, for passes that were used up before they agreed.
     loss_kw: float = 1.0
-    v_pu: float = 1e-4
+    v_pu: float = 1e-4  #: on the voltages of the plan
 
 
 PAPER = Tolerances()
@@ -67,16 +53,7 @@ def violations(
 ) -> list[str]:
     """Limits that a decision violates, each in words; empty if it can be carried out.
 
-    Parameters
-    ----------
-    decision : Decision
-        What a controller answered.
-    state : StepState
-        The step as it is known.
-    within : Tolerances, optional
-        How far it may be off.
-    v_limits_pu : tuple of float, optional
-        Limits of the plan's voltages; those of the network if not given.
+    Voltages keep within ``v_limits_pu``, or within those of the network if not given.
     """
     odd = misshapen(decision, state.site)
     if odd:

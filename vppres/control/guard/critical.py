@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.contract.decision import Decision, SolveInfo
+from vppres.contract.observation import Observation
 from vppres.control.guard.check import violations
-from vppres.control.guard.estimation import StateEstimate
 from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.kept import as_planned, by_rule
@@ -28,17 +28,7 @@ from vppres.solve.ladder import WindowSolver
 
 
 class CriticalFirst:
-    """Serves more customers of the first tier than a decision does, where the step alone can.
-
-    Parameters
-    ----------
-    site : Site
-        The whole fleet's site.
-    solver_of : callable
-        Makes the solver of a site.
-    options : GuardOptions
-        Tiers and tolerances.
-    """
+    """Serves more customers of the first tier than a decision does, where the step alone can."""
 
     def __init__(self, site: Site, solver_of: SolverOf, options: GuardOptions) -> None:
         self.site = site
@@ -46,7 +36,7 @@ class CriticalFirst:
         self._solver_of = solver_of
         self._solvers: dict[bytes, WindowSolver] = {}
 
-    def first(self, decision: Decision, known: StateEstimate, state: StepState) -> Decision:
+    def first(self, decision: Decision, known: Observation, state: StepState) -> Decision:
         """The decision, or the step alone where that serves more of the first tier."""
         served = self._weight(decision.dispatch.served[decision.row])
         all_of_them = self._weight(np.ones(len(self.site.customers)))
@@ -72,7 +62,7 @@ class CriticalFirst:
             fallback_reason="; ".join(word for word in words if word),
         )
 
-    def possible(self, known: StateEstimate, state: StepState) -> bool:
+    def possible(self, known: Observation, state: StepState) -> bool:
         """Whether the step alone can serve all of the first tier."""
         served = self._step_alone(known, state).dispatch.served[0]
         return self._weight(~np.asarray(served, dtype=bool)) <= ROUNDING
@@ -98,16 +88,16 @@ class CriticalFirst:
                 return found
         return alone
 
-    def _step_alone(self, known: StateEstimate, state: StepState) -> Decision:
+    def _step_alone(self, known: Observation, state: StepState) -> Decision:
         """The one-step problem with the first tier above everything else; the rule if it fails."""
         try:
             solver = self._solver(known.online)
-            seen = reduced_observation(known.observation, known.online, self.site.batteries)
+            seen = reduced_observation(known, self.site.batteries)
             # Nothing is worth keeping beside the first tier.
             alone = replace(seen, stored_value=None)
             solution = solver.solve(WindowData.of(alone, solver.site, self.options.centre).first(1))
             decision = Decision(
-                whole_fleet(solution.dispatch, known.online, known.observation.soc),
+                whole_fleet(solution.dispatch, known.online, known.soc),
                 0,
                 solve_info(solver.site, solution, 0),
             )

@@ -7,7 +7,7 @@ replaced (``docs/operation.md``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,24 +32,10 @@ RETRY_STEPS = 3
 """Steps after which a battery that did not respond is tried again."""
 
 
-@dataclass(frozen=True, eq=False)
-class StateEstimate:
-    """Estimated state of a step."""
-
-    observation: Observation  #: every measurement finite and plausible
-    online: Flags  #: batteries that can be used, (B,)
-    estimated: str  #: what was not measured, in words; empty if everything was
-
-
 class Estimator:
     """Keeps what is needed to judge the next measurements: the last ones, and what was commanded.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    physical : bool, optional
-        Whether batteries hold the islands, and so do not follow their set-points there.
+    In ``physical`` mode batteries hold the islands, and so do not follow their set-points there.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
@@ -71,7 +57,7 @@ class Estimator:
         self._commanded: Commanded | None = None
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
-    def known(self, seen: Observation) -> StateEstimate:
+    def known(self, seen: Observation) -> Observation:
         """The observation with estimates for what cannot be trusted."""
         online = self._online(seen)
         self._estimate_soc(seen)
@@ -88,24 +74,34 @@ class Estimator:
         words = [*self._soc_words(), *series_words, *map(OUT.format, out)]
         # A battery of which nothing is known is out, and counts as empty.
         soc = np.where(np.isnan(self._soc.soc), self.site.batteries.soc_min, self._soc.soc)
-        believed = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
+        believed = replace(
+            seen,
+            forecast=forecast,
+            soc=soc,
+            online=online,
+            estimated="; ".join(words),
+            told=(),
+            soc_age_h=None,
+        )
         self._last = _remembered(believed)
-        return StateEstimate(believed, online, "; ".join(words))
+        return believed
 
-    def proven(self, known: StateEstimate) -> StateEstimate:
-        """State estimate without demands far above all that an import has agreed with.
+    def proven(self, known: Observation) -> Observation:
+        """Estimate without demands far above all that an import has agreed with.
 
         Itself where there are none.
         """
         load_kw, words = self.series.proven()
         if not words:
             return known
-        forecast = known.observation.forecast
-        rows = np.vstack([load_kw, forecast.load_kw[1:]])
-        believed = replace(known.observation, forecast=replace(forecast, load_kw=rows))
+        rows = np.vstack([load_kw, known.forecast.load_kw[1:]])
+        believed = replace(
+            known,
+            forecast=replace(known.forecast, load_kw=rows),
+            estimated="; ".join(word for word in (known.estimated, *words) if word),
+        )
         self._last = _remembered(believed)
-        estimated = "; ".join(word for word in (known.estimated, *words) if word)
-        return replace(known, observation=believed, estimated=estimated)
+        return believed
 
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
@@ -114,7 +110,6 @@ class Estimator:
 
     def _online(self, seen: Observation) -> Flags:
         """Batteries that report to be there and followed their set-points."""
-        told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
         if (
             seen.battery_kw is not None
             and self._commanded is not None
@@ -126,7 +121,7 @@ class Estimator:
                 np.abs(seen.battery_kw) < SILENT_SHARE * rating
             )
             self._out_until = np.where(silent, seen.t0 + RETRY_STEPS, self._out_until)
-        return told & (self._out_until <= seen.t0)
+        return seen.online & (self._out_until <= seen.t0)
 
     def _should_have_followed(self, seen: Observation) -> bool:
         """Whether batteries were to follow their set-points in the last step.

@@ -22,7 +22,7 @@ from vppres.control.converged import dark_steps
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
 from vppres.control.guard.critical import CriticalFirst
-from vppres.control.guard.estimation import Estimator, StateEstimate
+from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
@@ -42,24 +42,13 @@ ControllerOf = Callable[[Site], Decider]
 class GuardedController:
     """Wraps a controller so that every step has an answer that can be carried out.
 
-    Parameters
-    ----------
-    controller_of : callable
-        Makes the wrapped controller for a site: once for the whole fleet, and once for each part of
-        it that is left when batteries are out.
-    solver_of : callable
-        Makes the solver of the fallbacks for a site.
-    site : Site
-        The whole fleet's site.
-    options : GuardOptions
-        Tiers and tolerances.
+    ``controller_of`` makes the wrapped controller: once for the whole fleet, and once for each part
+    of it that is left when batteries are out. ``solver_of`` makes the solver of the fallbacks.
 
     Attributes
     ----------
     inner : Decider
         The wrapped controller of the whole fleet.
-    known : StateEstimate or None
-        What the last decision took for true.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
@@ -75,7 +64,6 @@ class GuardedController:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
-        self.known: StateEstimate | None = None
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
@@ -94,41 +82,41 @@ class GuardedController:
 
     def decide(self, observation: Observation) -> Decision:
         """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
-        self.known = known = self._without_unlikely_demands(self._estimator.known(observation))
+        known = self._without_unlikely_demands(self._estimator.known(observation))
         state = self._step_state(known)
         decision = self._checked_decision(known, state)
-        if self.options.protect_critical and not known.observation.forecast.in_parts_now:
+        if self.options.protect_critical and not known.forecast.in_parts_now:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
-        return replace(decision, estimated=known.estimated, seen=known.observation)
+        return replace(decision, estimated=known.estimated, seen=known)
 
-    def _without_unlikely_demands(self, known: StateEstimate) -> StateEstimate:
-        """State estimate, with grid without unlikely demands that would cost the first tier.
+    def _without_unlikely_demands(self, known: Observation) -> Observation:
+        """Estimate, with grid without unlikely demands that would cost the first tier.
 
         What is really taken was carried: readings are of customers that have supply. Where lines
         are out, the first tier may be off for that.
         """
         state = self._step_state(known)
-        apart = state.island or known.observation.forecast.in_parts_now
+        apart = state.island or known.forecast.in_parts_now
         if apart or not self._estimator.series.unproven.any():
             return known
         return known if self._critical.possible(known, state) else self._estimator.proven(known)
 
-    def _step_state(self, known: StateEstimate) -> StepState:
+    def _step_state(self, known: Observation) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
         physical = self.options.physical
-        state = StepState.of(self.site, known.observation, centre, known.online, physical)
+        state = StepState.of(self.site, known, centre, physical)
         if not (physical and state.island):
             return state
         site = site_with(self.site, known.online)
-        seen = reduced_observation(known.observation, known.online, self.site.batteries)
+        seen = reduced_observation(known, self.site.batteries)
         now = WindowData.of(seen, site, centre).first(1)
         dark = dark_steps(site, now)
         formed, _ = now.formed(site, dark, headroom=0.0)
         return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
-    def _checked_decision(self, known: StateEstimate, state: StepState) -> Decision:
+    def _checked_decision(self, known: Observation, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
         before = self.plan
         decision = self._answer_or_fallback(known, state)
@@ -139,12 +127,12 @@ class GuardedController:
             self._parts.clear()
         return decision
 
-    def _answer_or_fallback(self, known: StateEstimate, state: StepState) -> Decision:
+    def _answer_or_fallback(self, known: Observation, state: StepState) -> Decision:
         try:
             decision = self._inner_decision(known)
             reasons = violations(decision, state, self.options.within)
             if not reasons:
-                self._remember_plan(decision, known.observation.t0)
+                self._remember_plan(decision, known.t0)
                 return decision
             reason = "refused: " + "; ".join(reasons)
         except InfeasibleError as error:
@@ -156,20 +144,16 @@ class GuardedController:
             reason = named_line(error)
         return self._without_solver(known, state, reason)
 
-    def _inner_decision(self, known: StateEstimate) -> Decision:
+    def _inner_decision(self, known: Observation) -> Decision:
         """Decision of the wrapped controller, for the batteries that are there.
 
         A plan of the day is kept as it is: what it asks of a battery that is out fails the check.
         """
         if known.online.all() or isinstance(self.inner, FullHorizonController):
-            return self.inner.decide(known.observation)
+            return self.inner.decide(known)
         part = self.part_for(known.online.tobytes())
-        decision = part.decide(
-            reduced_observation(known.observation, known.online, self.site.batteries)
-        )
-        return replace(
-            decision, dispatch=whole_fleet(decision.dispatch, known.online, known.observation.soc)
-        )
+        decision = part.decide(reduced_observation(known, self.site.batteries))
+        return replace(decision, dispatch=whole_fleet(decision.dispatch, known.online, known.soc))
 
     def part_for(self, key: bytes) -> Decider:
         """The controller of the batteries online, as bytes of flags, (B,)."""
@@ -184,11 +168,11 @@ class GuardedController:
             self._plan = decision.dispatch, t0 - decision.row
 
     def _relaxed(
-        self, known: StateEstimate, state: StepState, reason: str
+        self, known: Observation, state: StepState, reason: str
     ) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
-        seen = reduced_observation(known.observation, known.online, self.site.batteries)
+        seen = reduced_observation(known, self.site.batteries)
         data = WindowData.of(seen, site, self.options.centre)
         failed: dict[str, list[str]] = {}
         for name, answer in relaxed_answers(site, data, self._solver_of):
@@ -197,7 +181,7 @@ class GuardedController:
             except self.options.answers as error:
                 failed.setdefault(named_line(error), []).append(name)
                 continue
-            dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)
+            dispatch = whole_fleet(solution.dispatch, known.online, known.soc)
             decision = Decision(
                 dispatch,
                 0,
@@ -211,17 +195,17 @@ class GuardedController:
             failed.setdefault(f"refused: {'; '.join(wrong)}", []).append(name)
         return None, _with_failures(reason, failed)
 
-    def _without_solver(self, known: StateEstimate, state: StepState, reason: str) -> Decision:
+    def _without_solver(self, known: Observation, state: StepState, reason: str) -> Decision:
         """The previous plan where it can be carried out, otherwise the rule."""
         planned = self._planned(known, state, reason)
         return planned if planned is not None else by_rule(state, self.options.tiers, reason)
 
-    def _planned(self, known: StateEstimate, state: StepState, reason: str) -> Decision | None:
+    def _planned(self, known: Observation, state: StepState, reason: str) -> Decision | None:
         """The step of the last good plan, its balance closed by what is measured now."""
         if self._plan is None:
             return None
         plan = self._plan[0]
-        row = known.observation.t0 - self._plan[1]
+        row = known.t0 - self._plan[1]
         if not 0 <= row < plan.n_steps:
             return None
         planned = self._carried_on(plan, row, as_planned(state, plan, row), reason)

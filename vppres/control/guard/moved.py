@@ -50,14 +50,7 @@ class Moved:
     def ordered(self, at_h: float, power_kw: Floats, eta: tuple[Floats, Floats]) -> Moved:
         """Add an order at a time, charging positive; it replaces what was said of later.
 
-        Parameters
-        ----------
-        at_h : float
-            The time.
-        power_kw : array, shape (B,)
-            The power.
-        eta : tuple of array, shape (B,)
-            Efficiencies of charging and discharging.
+        ``eta`` are the efficiencies of charging and discharging.
         """
         before = self.begun_h < at_h - SAME_H
         return Moved(

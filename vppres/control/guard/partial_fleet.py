@@ -22,8 +22,9 @@ def site_with(site: Site, online: Flags) -> Site:
     return replace(site, batteries=left)
 
 
-def reduced_observation(seen: Observation, online: Flags, batteries: Batteries) -> Observation:
+def reduced_observation(seen: Observation, batteries: Batteries) -> Observation:
     """The observation of the batteries that are online; the others count as empty."""
+    online = seen.online
     if online.all():
         return seen
     unusable_kwh = float((batteries.energy_kwh * batteries.soc_min)[~online].sum())
@@ -33,7 +34,7 @@ def reduced_observation(seen: Observation, online: Flags, batteries: Batteries) 
         eta_charge=seen.eta_charge[online],
         eta_discharge=seen.eta_discharge[online],
         battery_kw=None,
-        online=None,
+        online=online[online],
         soc_age_h=None,
         stored_value=seen.stored_value and seen.stored_value.beside(unusable_kwh),
     )

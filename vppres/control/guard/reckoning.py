@@ -67,16 +67,8 @@ class SocReckoning:
     def after(self, seen: Floats, read_h: Floats, now_h: float, moved: Moved) -> SocReckoning:
         """The state at a later time, with one more reading each.
 
-        Parameters
-        ----------
-        seen : array, shape (B,)
-            Readings; NaN where there is none.
-        read_h : array, shape (B,)
-            When they were read.
-        now_h : float
-            The time.
-        moved : Moved
-            What was ordered and measured up to then.
+        Readings were made at ``read_h``, (B,), and are NaN where there is none; ``moved`` is what
+        was ordered and measured up to now.
         """
         b = self.site.batteries
         lately = moved.since(np.full(len(b), self.at_h), now_h, b)

@@ -28,17 +28,7 @@ ROUNDING_PU = 1e-3
 def relaxed_answers(
     site: Site, data: WindowData, solver_of: SolverOf
 ) -> Iterator[tuple[str, Callable[[], Answer]]]:
-    """Fallbacks of an infeasible window by name, each to be called in turn until one answers.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window that has no feasible dispatch.
-    solver_of : callable
-        Makes the solver of a site.
-    """
+    """Fallbacks of an infeasible window by name, each to be called in turn until one answers."""
     yield "voltage", partial(_with_ac_limits, site, data, solver_of)
     yield "voltage", partial(_elastic, site, data, solver_of)
     yield "service", partial(_step_alone, site, data, solver_of)

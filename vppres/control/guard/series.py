@@ -78,13 +78,7 @@ class _Usual:
 
 
 class SeriesJudge:
-    """Tells which readings of demand and PV power stand still although the plant says otherwise.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    """
+    """Tells which readings of demand and PV power stand still although the plant says otherwise."""
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
         "_before": _Step | None,
@@ -112,16 +106,8 @@ class SeriesJudge:
     ) -> tuple[LoadAndPVReadings, list[str]]:
         """Readings of the step with estimates where they must be, and what was estimated.
 
-        Parameters
-        ----------
-        seen : Observation
-            The step's observation.
-        expected : LoadAndPVReadings
-            What was known of this step before it.
-        foretold : bool
-            Whether that was forecast, and is not the reading of a step before.
-        commanded : Commanded or None
-            What was decided for the step before.
+        ``expected`` is what was known of this step before it: ``foretold``, or the reading of a
+        step before.
         """
         read_kw = seen.forecast.load_kw[0]
         doubted, proven_kw = self._by_import(seen, commanded)

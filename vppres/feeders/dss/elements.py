@@ -28,34 +28,22 @@ Node = tuple[str, int]
 
 @dataclass
 class Circuit:
-    """The engine's circuit: its elements, and those that are something else here.
+    """The engine's circuit: its elements, and those that are something else here."""
 
-    Parameters
-    ----------
-    ends_solved : bool
-        Whether the script's last command has solved it.
-    left_out : tuple of str
-        Options of ``set`` that the script has and OpenDSS did not get.
-    refused : dict
-        Controls that OpenDSS refuses, and why: without them the circuit is what it is.
-    names : dict
-        Enabled elements of each class, in lower case.
-    legs : dict
-        Buses behind the middle of a winding: the phase that they count as, and the sign of each
-        leg. Both legs are one node there, with the voltage from leg to leg: half of it, and its
-        opposite, is that of either leg to ground.
-    stars : dict
-        Transformers with three windings at three buses: the bus of their star, and its phases.
-    moved : dict
-        Buses whose level is not the one that OpenDSS took, and theirs in kV.
-    """
-
-    ends_solved: bool = False
+    ends_solved: bool = False  #: whether the script's last command has solved it
+    #: Options of ``set`` that the script has and OpenDSS did not get.
     left_out: tuple[str, ...] = ()
+    #: Controls that OpenDSS refuses, and why: without them the circuit is what it is.
     refused: dict[str, str] = field(default_factory=dict)
+    #: Enabled elements of each class, in lower case.
     names: dict[str, list[str]] = field(default_factory=dict)
+    #: Buses behind the middle of a winding: the phase that they count as, and the sign of each leg.
+    #: Both legs are one node there, with the voltage from leg to leg: half of it, and its opposite,
+    #: is that of either leg to ground.
     legs: dict[str, tuple[int, dict[int, float]]] = field(default_factory=dict)
+    #: Transformers with three windings at three buses: the bus of their star, and its phases.
     stars: dict[str, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
+    #: Buses whose level is not the one that OpenDSS took, and theirs in kV.
     moved: dict[str, float] = field(default_factory=dict)
 
     def find(self) -> None:

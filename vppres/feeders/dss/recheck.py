@@ -45,27 +45,17 @@ Tables = Mapping[str, pd.DataFrame]
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """Check of a run by the original feeder.
+    """Check of a run by the original feeder."""
 
-    Parameters
-    ----------
-    voltages : DataFrame
-        ``time``, ``outage``, ``bus`` (of the source), ``phase``, ``v_pu`` (of the source),
-        ``v_plan_pu`` (of the run's AC power flow) and ``difference_pu``, the former less the
-        latter; empty where either has no voltage.
-    steps : DataFrame
-        ``time``, ``outage``, ``import_kw`` of the source, ``import_plan_kw`` and
-        ``difference_max_pu``.
-    cause : str
-        Where the largest difference with grid comes from, measured.
-    notes : tuple of str
-        What the comparison assumes.
-    """
-
+    #: ``time``, ``outage``, ``bus`` (of the source), ``phase``, ``v_pu`` (of the source),
+    #: ``v_plan_pu`` (of the run's AC power flow) and ``difference_pu``, the former less the latter;
+    #: empty where either has no voltage.
     voltages: pd.DataFrame
+    #: ``time``, ``outage``, ``import_kw`` of the source, ``import_plan_kw`` and
+    #: ``difference_max_pu``.
     steps: pd.DataFrame
-    cause: str
-    notes: tuple[str, ...]
+    cause: str  #: where the largest difference with grid comes from, measured
+    notes: tuple[str, ...]  #: what the comparison assumes
 
     @property
     def worst(self) -> pd.Series[Any] | None:

@@ -58,16 +58,8 @@ def put_back(net: Any) -> None:
 def set_branches(net: Any, bus_of: Mapping[int, BusId], branches: Branches, carries: Flags) -> None:
     """Open the lines of a net that carry nothing, and close the ties that carry.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        The net, with its branches as they were for the import.
-    bus_of : mapping
-        Bus of the scenario for every supplied bus of the net.
-    branches : Branches
-        Lines and ties of the scenario.
-    carries : array of bool, shape (E,)
-        Which of them carry.
+    The net has its branches as they were for the import; ``carries`` says which branches carry,
+    (E,).
 
     Raises
     ------

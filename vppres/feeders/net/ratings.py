@@ -50,12 +50,7 @@ def shared_rating(
 ) -> pd.Series[float]:
     """Rating of parallel branches together: where the first of them reaches its own.
 
-    Parameters
-    ----------
-    admittance, total : Series of complex
-        Of each branch, and of all that lie beside it.
-    rating : Series of float
-        Of each branch, in any unit.
+    ``total`` is the admittance of all that lie beside a branch.
 
     Examples
     --------

@@ -87,16 +87,8 @@ def feeder_of(
 ) -> ImportedFeeder:
     """Reduce a pandapower net to a feeder; the net is not changed.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        Any net with one external grid.
-    name : str
-        Name of the source, for messages.
-    open_branches : sequence of str
-        Branches to take out of service first, as ``line 7`` or by their name.
-    bus_ids : mapping, optional
-        Identifier of each bus; its index in the net where it is not given.
+    ``open_branches`` are out of service first, as ``line 7`` or by their name. ``bus_ids`` has the
+    identifier of each bus, which is its index in the net where it is not given.
 
     Raises
     ------

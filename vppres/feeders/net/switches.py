@@ -61,16 +61,8 @@ class _Found(NamedTuple):
 def switches_of(net: Any, joined: NetCase, ids: Mapping[int, BusId], network: Network) -> Switches:
     """Switches of a net between two buses of the network, one for each line that has any.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        The net, its loops opened.
-    joined : NetCase
-        Its case with one bus for the ends of closed switches.
-    ids : mapping
-        Bus of the network for each row of the case.
-    network : Network
-        The tree of its lines.
+    The loops of the net are opened. ``joined`` is its case with one bus for the ends of closed
+    switches, and ``ids`` has the bus of the network for each of its rows.
     """
     at = {bus: ids[row] for bus, row in joined.bus_at.items()}
     rows = [

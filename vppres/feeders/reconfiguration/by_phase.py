@@ -22,14 +22,7 @@ class FlowInStates:
     A branch has all of its phases. Its current is that of the fullest; of a transformer it is a
     share of its rating.
 
-    Parameters
-    ----------
-    day : Scenario
-        The feeder as a tree, with its switches.
-    formers : iterable of str
-        Devices that can hold an island.
-    p_kw, q_kvar : array, shape (D,)
-        What all devices draw.
+    ``formers`` are devices that can hold an island.
     """
 
     def __init__(self, day: Scenario, formers: Iterable[str], p_kw: Floats, q_kvar: Floats) -> None:

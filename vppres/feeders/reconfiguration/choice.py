@@ -28,16 +28,8 @@ def switched_network(
     Switches that are not operable, or are locked, stay as they are. Lines with a ratio are not
     opened.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder as it is.
-    switches : Switches
-        Its switches.
-    only : sequence of str, optional
-        Names of those that may move, if not all: of switches, and of lines as ``7-8``.
-    any_line : bool, optional
-        Whether lines without a switch may be opened too, as studies of reconfiguration have it.
+    Those that may move are ``only`` these, of switches by name and of lines as ``7-8``, or all;
+    with ``any_line`` lines without a switch too, as studies of reconfiguration have it.
 
     Raises
     ------

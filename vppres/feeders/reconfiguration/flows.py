@@ -30,37 +30,18 @@ LEAST_PU = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """Figures of each of T configurations, (T,) each; infinite losses where no flow was found.
+    """Figures of each of T configurations, (T,) each; infinite losses where no flow was found."""
 
-    Parameters
-    ----------
-    losses_kw : array
-        Active losses of all lines, and what leakage and shunts draw.
-    v_min_pu, v_max_pu : array
-        Lowest and highest voltage of a bus.
-    bus_min : array
-        Position of the bus with the lowest voltage.
-    loading : array
-        Largest current over its rating; 0 where no branch has one.
-    """
-
-    losses_kw: Floats
+    losses_kw: Floats  #: active losses of all lines, and what leakage and shunts draw
+    #: Lowest and highest voltage of a bus.
     v_min_pu: Floats
     v_max_pu: Floats
-    bus_min: Wholes
-    loading: Floats
+    bus_min: Wholes  #: position of the bus with the lowest voltage
+    loading: Floats  #: largest current over its rating; 0 where no branch has one
 
 
 class ConfigurationFlows:
-    """Solver of the configurations of one feeder for one injection.
-
-    Parameters
-    ----------
-    feeder : SwitchedNetwork
-        The feeder and its open switches.
-    p_kw, q_kvar : array, shape (N,)
-        Net injection of all devices, as for :class:`vppres.physics.powerflow.ACPowerFlow`.
-    """
+    """Solver of the configurations of one feeder for one injection."""
 
     def __init__(self, feeder: SwitchedNetwork, p_kw: Floats, q_kvar: Floats) -> None:
         net, ties = feeder.network, feeder.ties

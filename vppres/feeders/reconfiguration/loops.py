@@ -24,17 +24,6 @@ class SwitchedNetwork:
 
     Branches are the lines of the network, in its order, and after them the switches: ``L + K``.
 
-    Parameters
-    ----------
-    network : Network
-        The feeder as it is.
-    ties : Switches
-        The K switches that are open and can be closed, each between two buses of the network.
-    can_open : array of bool, shape (L,)
-        Lines that can be opened.
-    line_names : tuple of str
-        Names of the lines.
-
     Examples
     --------
     A ring of three lines of which one is open:
@@ -46,9 +35,10 @@ class SwitchedNetwork:
     (3, [[[0], [1], [2]]])
     """
 
-    network: Network
+    network: Network  #: the feeder as it is
+    #: The K switches that are open and can be closed, each between two buses of the network.
     ties: Switches
-    can_open: Flags
+    can_open: Flags  #: lines that can be opened, (L,)
     line_names: tuple[str, ...] = ()
 
     @property
@@ -103,13 +93,7 @@ class SwitchedNetwork:
         return [(bits, np.array(members)) for bits, members in groups.items()]
 
     def configurations(self, at_once: int) -> Iterator[Wholes]:
-        """All sets of K branches of which the opening leaves a tree, in blocks of shape (T, K).
-
-        Parameters
-        ----------
-        at_once : int
-            Most configurations of a block.
-        """
+        """All sets of K branches of which the opening leaves a tree, in blocks of shape (T, K)."""
         waiting: list[Wholes] = []
         held = 0
         for groups in _independent([bits for bits, _ in self._series], self.n_loops):
@@ -126,18 +110,9 @@ class SwitchedNetwork:
             yield np.concatenate(waiting)
 
     def exchanges(self, opened: Wholes, place: int) -> Wholes:
-        """Configurations that close one open branch, and open another of its loop.
+        """Configurations that close one open branch, and open another of its loop, (T, K).
 
-        Parameters
-        ----------
-        opened : array, shape (K,)
-            Branches that are open.
-        place : int
-            Which of them is closed.
-
-        Returns
-        -------
-        array, shape (T, K)
+        ``place`` is the position among the ``opened``, (K,), of the one that is closed.
         """
         inverse = np.linalg.inv(self.loops[opened].astype(float))
         joined = self.may_open & (np.abs(self.loops @ inverse[:, place]) > 0.5)

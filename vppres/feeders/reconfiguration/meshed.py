@@ -22,23 +22,12 @@ from vppres.scenario.switches import Switches
 
 @dataclass(frozen=True, eq=False)
 class PartFlow:
-    """Power flow of one part of a feeder.
+    """Power flow of one part of a feeder."""
 
-    Parameters
-    ----------
-    v_pu : array, shape (N,)
-        Voltages of its buses; NaN elsewhere.
-    current_a : array, shape (E,)
-        Currents of its branches; 0 elsewhere.
-    source_kva : complex
-        What the reference bus gives beyond its own injection.
-    fullest_kva : float
-        What it would give if all its phases did what the fullest does; 0 if balanced.
-    """
-
-    v_pu: Floats
-    current_a: Floats
-    source_kva: complex
+    v_pu: Floats  #: voltages of its buses; NaN elsewhere, (N,)
+    current_a: Floats  #: currents of its branches; 0 elsewhere, (E,)
+    source_kva: complex  #: what the reference bus gives beyond its own injection
+    #: What it would give if all its phases did what the fullest does; 0 if balanced.
     fullest_kva: float = 0.0
 
 
@@ -46,13 +35,6 @@ class MeshedFlow:
     """Solver of the parts of one feeder in any state of its branches.
 
     Branches are the lines of the network, in its order, and after them the switches: ``E = L + K``.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder as a tree.
-    ties : Switches
-        Its K open switches.
     """
 
     def __init__(self, network: Network, ties: Switches) -> None:
@@ -81,16 +63,8 @@ class MeshedFlow:
     ) -> PartFlow | None:
         """Flow of a part, None if none is found.
 
-        Parameters
-        ----------
-        inside : array of bool, shape (N,)
-            Buses of the part.
-        closed : array of bool, shape (E,)
-            Branches that are closed; those of the part are looked at.
-        reference : int
-            Position of the bus with its source.
-        p_kw, q_kvar : array, shape (N,)
-            Net injection of every bus.
+        ``inside`` are its buses, (N,), ``closed`` the branches that are closed, (E,), and
+        ``reference`` is the position of the bus with its source.
         """
         net = self.network
         buses = np.flatnonzero(inside)

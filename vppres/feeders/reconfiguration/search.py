@@ -56,59 +56,29 @@ NO_LIMITS = ConfigurationLimits(0.0, np.inf, ratings=False)
 
 @dataclass(frozen=True)
 class Configuration:
-    """One radial configuration and its AC power flow.
+    """One radial configuration and its AC power flow."""
 
-    Parameters
-    ----------
-    opened : tuple of int
-        Branches that are open, in ascending order.
-    losses_kw : float
-        Active losses; infinite if no power flow was found.
-    v_min_pu, v_max_pu : float
-        Lowest and highest voltage.
-    bus_min : int or str
-        Bus with the lowest voltage.
-    loading : float
-        Largest current over its rating; 0 where no branch has one.
-    excess : float
-        By how much limits are exceeded, in pu and shares of ratings; 0 if they are kept.
-    """
-
-    opened: tuple[int, ...]
-    losses_kw: float
+    opened: tuple[int, ...]  #: branches that are open, in ascending order
+    losses_kw: float  #: active losses; infinite if no power flow was found
+    #: Lowest and highest voltage.
     v_min_pu: float
     v_max_pu: float
-    bus_min: BusId
-    loading: float
+    bus_min: BusId  #: bus with the lowest voltage
+    loading: float  #: largest current over its rating; 0 where no branch has one
+    #: By how much limits are exceeded, in pu and shares of ratings; 0 if they are kept.
     excess: float
 
 
 @dataclass(frozen=True)
 class LeastLoss:
-    """Result of a search.
+    """Result of a search."""
 
-    Parameters
-    ----------
-    count : int
-        Number of radial configurations.
-    solved : int
-        Number of configurations whose power flow was found, repeated ones included.
-    exact : bool
-        Whether all of them were: nothing is better than ``best``.
-    present : Configuration
-        The configuration as it is.
-    best : Configuration
-        The least losses within the limits; if none keeps them, the least excess.
-    unlimited : Configuration
-        The least losses of all, whatever the limits.
-    """
-
-    count: int
-    solved: int
-    exact: bool
-    present: Configuration
-    best: Configuration
-    unlimited: Configuration
+    count: int  #: number of radial configurations
+    solved: int  #: number of configurations whose power flow was found, repeated ones included
+    exact: bool  #: whether all of them were: nothing is better than ``best``
+    present: Configuration  #: the configuration as it is
+    best: Configuration  #: the least losses within the limits; if none keeps them, the least excess
+    unlimited: Configuration  #: the least losses of all, whatever the limits
 
 
 class _Best:
@@ -156,22 +126,9 @@ def least_loss(
 ) -> LeastLoss:
     """The radial configuration with the least losses under the limits.
 
-    Parameters
-    ----------
-    feeder : SwitchedNetwork
-        The feeder and the switches that can be moved.
-    p_kw, q_kvar : array, shape (N,)
-        Net injection of every bus.
-    limits : ConfigurationLimits
-        What a configuration must keep.
-    most : int, optional
-        Number of configurations up to which all are solved.
-    attempts : int, optional
-        Starts of the search where there are more.
-    seed : int, optional
-        Seed of its random exchanges.
-    progress : callable, optional
-        Called with the configurations or starts that are done, and their number.
+    Up to so many configurations as ``most`` all are solved; else the search starts so many times as
+    ``attempts``. ``progress`` is called with the configurations or starts that are done, and their
+    number.
     """
     flows = ConfigurationFlows(feeder, p_kw, q_kvar)
     count = feeder.count

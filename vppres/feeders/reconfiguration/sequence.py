@@ -41,25 +41,15 @@ MOST_REASONS = 3
 
 @dataclass(frozen=True, eq=False)
 class Formers(Items):
-    """Devices that can hold an island, shape (F,) each.
+    """Devices that can hold an island, shape (F,) each."""
 
-    Parameters
-    ----------
-    id : array of str
-        Names.
-    bus : array of bus identifiers
-        Where they are.
-    s_max_kva, p_min_kw, p_max_kw : array
-        Rating, and least and largest power that they give.
-    p_kw, q_kvar : array
-        Set-points, which are part of the injections of their buses.
-    """
-
-    id: Names
-    bus: Names
+    id: Names  #: names
+    bus: Names  #: where they are
+    #: Rating, and least and largest power that they give.
     s_max_kva: Floats
     p_min_kw: Floats
     p_max_kw: Floats
+    #: Set-points, which are part of the injections of their buses.
     p_kw: Floats
     q_kvar: Floats
 
@@ -74,49 +64,28 @@ class SwitchedFeeder:
     """A feeder whose switches are to be operated, and what its states must hold.
 
     Branches are the lines of the network, in its order, and after them the open switches: ``E``.
-
-    Parameters
-    ----------
-    network : Network
-        The feeder as a tree.
-    switches : Switches
-        Its switches.
-    p_kw, q_kvar : array, shape (N,)
-        Net injection of every bus, set-points of all devices included.
-    limits : ConfigurationLimits
-        Limits of voltages, and whether ratings count.
-    grid : bool
-        Whether the slack bus has the grid.
-    formers : Formers
-        Devices that can hold an island. One does in between only if it does before or after.
-    faulted : array of bool, shape (E,), optional
-        Branches that carry nothing and are not closed.
-    bus_out : array of bool, shape (N,), optional
-        Buses that are out themselves.
-    cold_kw, cold_kvar : array, shape (N,), optional
-        What buses that were without supply draw beyond their injections.
-    movable : array of bool, shape (E,), optional
-        Branches that can be operated; those with an operable switch, or without one, if not given.
-    customers : mapping, optional
-        Names of the customers of a bus.
-    by_phase : FlowInStates, optional
-        Power flow by phase of a feeder with phases.
     """
 
-    network: Network
-    switches: Switches
+    network: Network  #: the feeder as a tree
+    switches: Switches  #: its switches
+    #: Net injection of every bus, set-points of all devices included, (N,) each.
     p_kw: Floats
     q_kvar: Floats
-    limits: ConfigurationLimits
-    grid: bool = True
+    limits: ConfigurationLimits  #: limits of voltages, and whether ratings count
+    grid: bool = True  #: whether the slack bus has the grid
+    #: Devices that can hold an island. One does in between only if it does before or after.
     formers: Formers = field(default_factory=Formers.none)
-    faulted: Flags | None = None
-    bus_out: Flags | None = None
+    faulted: Flags | None = None  #: branches that carry nothing and are not closed, (E,)
+    bus_out: Flags | None = None  #: buses that are out themselves, (N,)
+    #: What buses that were without supply draw beyond their injections, (N,) each.
     cold_kw: Floats | None = None
     cold_kvar: Floats | None = None
+    #: Branches that can be operated; those with an operable switch, or without one, if not given,
+    #: (E,).
     movable: Flags | None = None
+    #: Names of the customers of a bus.
     customers: Mapping[BusId, Sequence[str]] = field(default_factory=dict)
-    by_phase: FlowInStates | None = None
+    by_phase: FlowInStates | None = None  #: power flow by phase of a feeder with phases
 
     @cached_property
     def branches(self) -> Branches:
@@ -141,18 +110,10 @@ class SwitchedFeeder:
 
 @dataclass(frozen=True)
 class Margin:
-    """Distance of a state from one of its limits.
+    """Distance of a state from one of its limits."""
 
-    Parameters
-    ----------
-    value : float
-        In pu of a voltage, or as a share of a rating; below 0 beyond the limit.
-    words : str
-        What is nearest to the limit.
-    """
-
-    value: float
-    words: str
+    value: float  #: in pu of a voltage, or as a share of a rating; below 0 beyond the limit
+    words: str  #: what is nearest to the limit
 
 
 NO_MARGIN = Margin(np.inf, "")
@@ -160,59 +121,29 @@ NO_MARGIN = Margin(np.inf, "")
 
 @dataclass(frozen=True)
 class Operation:
-    """One operation of a switch.
+    """One operation of a switch."""
 
-    Parameters
-    ----------
-    switch : str
-        Name of the switch, or the buses of a line without one.
-    branch : int
-        Its position among the branches.
-    closes : bool
-        Whether it is closed, not opened.
-    margin : Margin
-        The least margin of the state after it.
-    interrupted : tuple of bus identifiers
-        Buses that lose their supply for a while, though they have one before and after all
-        operations.
-    minutes : float
-        How long the longest of them is without it.
-    at_the_device : bool
-        Whether it joins two live parts, which the device does when both agree.
-    sentence : str
-        The operation, what it does, and the margin.
-    """
-
-    switch: str
-    branch: int
-    closes: bool
-    margin: Margin
+    switch: str  #: name of the switch, or the buses of a line without one
+    branch: int  #: its position among the branches
+    closes: bool  #: whether it is closed, not opened
+    margin: Margin  #: the least margin of the state after it
+    #: Buses that lose their supply for a while, though they have one before and after all
+    #: operations.
     interrupted: tuple[BusId, ...]
-    minutes: float
-    at_the_device: bool
-    sentence: str
+    minutes: float  #: how long the longest of them is without it
+    at_the_device: bool  #: whether it joins two live parts, which the device does when both agree
+    sentence: str  #: the operation, what it does, and the margin
 
 
 @dataclass(frozen=True)
 class SwitchingOrder:
-    """Operations between two configurations.
+    """Operations between two configurations."""
 
-    Parameters
-    ----------
-    operations : tuple of Operation or None
-        In their order; None if there is no order.
-    reason : str
-        Why there is none; empty if there is one.
-    all_orders : bool
-        Whether all orders were compared.
-    before : Margin
-        The least margin of the state before. Where it is below 0, or during a fault that of
-        the feeder without it, states may be beyond the limits too, but no further.
-    """
-
-    operations: tuple[Operation, ...] | None
-    reason: str
-    all_orders: bool
+    operations: tuple[Operation, ...] | None  #: in their order; None if there is no order
+    reason: str  #: why there is none; empty if there is one
+    all_orders: bool  #: whether all orders were compared
+    #: The least margin of the state before. Where it is below 0, or during a fault that of the
+    #: feeder without it, states may be beyond the limits too, but no further.
     before: Margin
 
     @property
@@ -224,12 +155,7 @@ class SwitchingOrder:
 def safe_order(feeder: SwitchedFeeder, now: Flags, then: Flags) -> SwitchingOrder:
     """Order of the operations that lead from one configuration to another.
 
-    Parameters
-    ----------
-    feeder : SwitchedFeeder
-        The feeder, its injections and limits.
-    now, then : array of bool, shape (E,)
-        Closed branches before and after; those before may have a loop.
+    Branches are closed ``now``, which may have a loop, and ``then``, (E,).
 
     Examples
     --------

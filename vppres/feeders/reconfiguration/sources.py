@@ -36,35 +36,16 @@ KEEPS_PHASES = "keeps its phases, which a reconfiguration does not model"
 
 @dataclass(frozen=True, eq=False)
 class Reconfigurable:
-    """A feeder with its switches, its loads and its limits.
+    """A feeder with its switches, its loads and its limits."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the network or scenario.
-    network : Network
-        The feeder as it is.
-    switches : Switches
-        Its switches.
-    injection : tuple of array
-        Net injection of every bus in kW and kvar.
-    limits_pu : tuple of float
-        Lowest and highest voltage.
-    words : str
-        Sentence on the loads; empty for those of a network.
-    record : mapping
-        The same for machines.
-    of_the_day : mapping
-        Faults, cold load and customers of a scenario, for the order of operations.
-    """
-
-    name: str
-    network: Network
-    switches: Switches
-    injection: tuple[Floats, Floats]
-    limits_pu: tuple[float, float]
-    words: str = ""
-    record: Mapping[str, Any] = field(default_factory=dict)
+    name: str  #: name of the network or scenario
+    network: Network  #: the feeder as it is
+    switches: Switches  #: its switches
+    injection: tuple[Floats, Floats]  #: net injection of every bus in kW and kvar
+    limits_pu: tuple[float, float]  #: lowest and highest voltage
+    words: str = ""  #: sentence on the loads; empty for those of a network
+    record: Mapping[str, Any] = field(default_factory=dict)  #: the same for machines
+    #: Faults, cold load and customers of a scenario, for the order of operations.
     of_the_day: Mapping[str, Any] = field(default_factory=dict)
 
     def order_to(

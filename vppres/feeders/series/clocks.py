@@ -109,15 +109,8 @@ def in_utc(
 ) -> tuple[pd.DatetimeIndex, list[Problem]]:
     """Times of a series in UTC, as a DatetimeIndex; empty where there are problems.
 
-    Parameters
-    ----------
-    times : Index
-        Dates with or without offset, or text in ISO 8601. Within a column all have an offset, or
-        none has.
-    zone : str, optional
-        Zone of times without offset. An hour that the clocks show twice must be there twice.
-    where, field : str
-        File and column, for messages.
+    Dates, or text in ISO 8601, all have an offset or none has. Of times without one, in ``zone``,
+    an hour that the clocks show twice must be there twice.
     """
     dated, bad = _dated(times)
     if bad.any():

@@ -48,14 +48,7 @@ def power_beyond_kw(
 ) -> dict[str, Floats]:
     """Excess of powers beyond ratings, both directions at once, and inverters' discs.
 
-    Parameters
-    ----------
-    b : Batteries
-        Their ratings.
-    charge_kw, discharge_kw, kvar : array, shape (..., B)
-        The powers.
-    online : array of bool, shape (B,), optional
-        Batteries that can be used; all if not given.
+    Batteries that are not ``online``, (B,), have no power.
     """
     rated_kw = b.p_max_kw * online
     power_kw = np.maximum(charge_kw, discharge_kw)

@@ -60,15 +60,6 @@ def setpoints_c(loads: ThermalLoads, start_c: Floats, end_c: Floats, power_kw: F
     A machine that rests has the end of the band that it holds by itself, or what the room is
     beyond it. One that runs has the temperature at the end of the step. At full power it has the
     end of the band that it makes for, which keeps it running where the room does not follow.
-
-    Parameters
-    ----------
-    loads : ThermalLoads
-        Rooms and tanks.
-    start_c, end_c : array, shape (H,)
-        Temperatures at the beginning and at the end of the step.
-    power_kw : array, shape (H,)
-        Power of each machine.
     """
     warms = np.where(loads.heats, 1.0, -1.0)  # a cooled room is a heated one upside down
     start, end, near = warms * start_c, warms * end_c, warms * loads.held_c

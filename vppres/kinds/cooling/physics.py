@@ -96,11 +96,6 @@ class Rooms(UnitsAhead):
 class Climate:
     """Temperature of all rooms and tanks from step to step.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Thermal loads, customers, temperatures outside and steps.
-
     Attributes
     ----------
     state : array, shape (H,)

@@ -77,17 +77,7 @@ class ColdDemand:
 
 
 class SwitchingModel(Addition):
-    """Variables, parameters, constraints and price of the rules over W steps.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    x : cvxpy.Expression, shape (W, C)
-        Served status.
-    steps : RuleSteps
-        Minimum times and cold load.
-    """
+    """Variables, parameters, constraints and price of the rules over W steps."""
 
     rules: ClassVar[bool] = True
     by_service: ClassVar[tuple[str, ...]] = ("z_cold",)

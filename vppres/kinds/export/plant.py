@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.physics.feeder import PowerFlow
 from vppres.physics.powerflow import ACResult
-from vppres.plant.changes import curtailed, part_of, powers_of, spare, taking
+from vppres.plant.changes import curtailed, part_of, spare, taking
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 
 LIMIT_TOLERANCE_KW = 1e-3
@@ -43,12 +43,11 @@ def within_export_limit(
         excess_kw = -ac.p_slack_kw - limit_kw
         if excess_kw <= LIMIT_TOLERANCE_KW:
             break
-        powers = powers_of(realised)
-        held = _held_back(plant, powers, excess_kw)
+        held = _held_back(plant, realised, excess_kw)
         changes = [
-            held.battery_kw - powers.battery_kw,
-            held.pv_curtailed_kw - powers.pv_curtailed_kw,
-            *(held.taken_kw[kind] - taken_kw for kind, taken_kw in powers.taken_kw.items()),
+            held.battery_kw - realised.battery_kw,
+            held.pv_curtailed_kw - realised.pv_curtailed_kw,
+            *(held.taken_kw[kind] - taken_kw for kind, taken_kw in realised.taken_kw.items()),
         ]
         moved = max(float(np.abs(each).max(initial=0.0)) for each in changes)
         if moved == 0.0:

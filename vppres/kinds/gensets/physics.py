@@ -326,11 +326,6 @@ LEAST_KW = 1e-6
 class Engines:
     """State of all generating sets from step to step.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Sets and steps.
-
     Attributes
     ----------
     state : GensetState

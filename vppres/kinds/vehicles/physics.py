@@ -60,16 +60,8 @@ class Plugged(UnitsAhead):
         They are those that are plugged in then, and those that are announced. At chargers that are
         free of them, vehicles are expected to come later as on a past day.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            Chargers and sessions.
-        steps : range
-            Steps of the window.
-        now_kwh : array, shape (K,)
-            Energy of the vehicles that are plugged in when it begins.
-        past_days : PastDays, optional
-            What vehicles are expected by; none are if not given.
+        ``now_kwh`` is the energy of those that are plugged in, (K,). Without ``past_days`` none is
+        expected.
         """
         found = cls.none(len(steps), len(scenario.chargers))
         found._enter(scenario, scenario.sessions, steps, now_kwh)
@@ -214,13 +206,8 @@ class Plugged(UnitsAhead):
 class Garage:
     """Energy of the vehicles at all chargers from step to step.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Chargers, sessions and steps.
-    state : array, shape (K,), optional
-        Energy of the vehicles that are plugged in before the first step; as the sessions say where
-        it is NaN, or not given.
+    Where the energy of a vehicle before the first step, (K,), is not given or NaN, it is as its
+    session says.
 
     Attributes
     ----------

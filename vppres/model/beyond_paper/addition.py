@@ -38,47 +38,31 @@ class AdditionDispatch:
 
 
 class Addition:
-    """Addition to a window's problem beyond the paper.
+    """Addition to a window's problem beyond the paper."""
 
-    Attributes
-    ----------
-    replaces : tuple of str
-        Families of the paper that it states anew, or that do not hold with it.
-    draws : bool
-        Whether it takes power at the buses whatever is decided.
-    apart : bool
-        Whether its rows tell one PV system or battery from another: no relaxation lumps them then.
-    rules : bool
-        Whether all of its families limit service alone: a known service meets them or does not.
-    directions : tuple of str
-        Its binaries of which relaxations without modes take shares.
-    of_network : tuple of str
-        Its letters that a relaxation without the network has not.
-    for_network : tuple of str
-        Its implied families that stand for what such a relaxation leaves out.
-    of_batteries : tuple of str
-        Its letters with a column for each battery: a lumped fleet has their sum.
-    by_service : tuple of str
-        Its letters that are 0 once service is known, since the data have what they add then.
-    by_dispatch, in_range, met : tuple of str
-        Its letters that the tie-breakers hold and those that they bound, by :meth:`of_dispatch`;
-        its families that hold by that.
-    calm : tuple of str
-        Its letters between 0 and 1 of which the tie-breakers minimise the squares, as kW of loss.
-    """
-
+    #: Families of the paper that it states anew, or that do not hold with it.
     replaces: ClassVar[tuple[str, ...]] = ()
-    draws: ClassVar[bool] = False
+    draws: ClassVar[bool] = False  #: whether it takes power at the buses whatever is decided
+    #: Whether its rows tell one PV system or battery from another: no relaxation lumps them then.
     apart: ClassVar[bool] = False
+    #: Whether all of its families limit service alone: a known service meets them or does not.
     rules: ClassVar[bool] = False
+    #: Its binaries of which relaxations without modes take shares.
     directions: ClassVar[tuple[str, ...]] = ()
+    #: Its letters that a relaxation without the network has not.
     of_network: ClassVar[tuple[str, ...]] = ()
+    #: Its implied families that stand for what such a relaxation leaves out.
     for_network: ClassVar[tuple[str, ...]] = ()
+    #: Its letters with a column for each battery: a lumped fleet has their sum.
     of_batteries: ClassVar[tuple[str, ...]] = ()
+    #: Its letters that are 0 once service is known, since the data have what they add then.
     by_service: ClassVar[tuple[str, ...]] = ()
+    #: Its letters that the tie-breakers hold and those that they bound, by :meth:`of_dispatch`; its
+    #: families that hold by that.
     by_dispatch: ClassVar[tuple[str, ...]] = ()
     in_range: ClassVar[tuple[str, ...]] = ()
     met: ClassVar[tuple[str, ...]] = ()
+    #: Its letters between 0 and 1 of which the tie-breakers minimise the squares, as kW of loss.
     calm: ClassVar[tuple[str, ...]] = ()
 
     @classmethod

@@ -30,30 +30,16 @@ NO_REACTIVE_FLOW = "no_reactive_flow"
 
 @dataclass(frozen=True, eq=False)
 class LinesOut(Addition):
-    """Lines that are out in some step of a window, and what may be dead in some.
-
-    Parameters
-    ----------
-    lines : array of int, shape (K,)
-        The lines.
-    out : cvxpy.Parameter, shape (W, K)
-        1 where a line is out.
-    P_over : cvxpy.Variable, shape (W, K)
-        What a line would carry: all that is drawn behind it.
-    customers, pv, batteries : array of int
-        Items at buses that are dead in some step.
-    lit : dict
-        1 in steps in which each of these is not dead, (W, n) by name.
-    """
+    """Lines that are out in some step of a window, and what may be dead in some."""
 
     apart: ClassVar[bool] = True
     for_network: ClassVar[tuple[str, ...]] = ("drawn_behind_line", "nothing_over_line")
 
-    lines: Wholes
-    out: cp.Parameter
-    P_over: cp.Variable
-    items: dict[str, Wholes]
-    lit: dict[str, cp.Parameter]
+    lines: Wholes  #: the lines, (K,)
+    out: cp.Parameter  #: 1 where a line is out, (W, K)
+    P_over: cp.Variable  #: what a line would carry: all that is drawn behind it, (W, K)
+    items: dict[str, Wholes]  #: customers, PV systems and batteries that are dead in some step
+    lit: dict[str, cp.Parameter]  #: 1 in steps in which each of these is not dead, (W, n) by name
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -39,16 +39,8 @@ def spent_kw(site: Site, data: WindowData, plan: Dispatch) -> Floats:
 def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) -> Unspent:
     """Limits on discharge and curtailment that a plan's supply allows.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window.
-    plan : Dispatch
-        A plan for its supply.
-    network_kw : array, shape (W,)
-        What the network takes in that plan; the window may say something else by now.
+    ``network_kw`` is what the network takes in that plan, (W,); the window may say something else
+    by now.
     """
     lost_kw = _beyond_inverters_kw(site, data)
     taken_kw = (plan.charge_kw - plan.discharge_kw).sum(axis=1) - plan.p_grid_kw

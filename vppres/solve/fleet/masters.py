@@ -51,14 +51,8 @@ battery of the best efficiencies says too little, and the search begins with eve
 class Master:
     """The relaxation without the network, with a binary for each customer and step.
 
-    Parameters
-    ----------
-    task : WindowTask
-        The window.
-    lumped : bool
-        Whether the fleet is one battery.
-    stepwise : bool
-        Whether service is first asked of one battery, step by step.
+    ``lumped`` has the fleet as one battery; ``stepwise`` asks for service of one battery first,
+    step by step.
 
     Attributes
     ----------

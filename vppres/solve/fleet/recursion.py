@@ -76,18 +76,8 @@ def most_units(
     In steps without a limit of import all who can be are supplied. No set is returned where it
     takes too long to find.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window, without rules.
-    able : array, shape (W, C)
-        Who can be supplied.
-    units : array of int, shape (C,)
-        Weights in units.
-    by_shares : float
-        Most service of shares of customers in units.
+    The window has no rules. ``able`` can be supplied, (W, C); ``by_shares`` is the most service of
+    shares of customers.
     """
     one = OneBattery.of(site, data)
     everyone = int((able * units).sum())
@@ -123,16 +113,8 @@ def fewest_lost(
 ) -> list[int] | None:
     """The way of each step with which one battery loses the fewest units, and no more than so many.
 
-    Parameters
-    ----------
-    one : OneBattery
-        What carries the demand.
-    demand_kw : array, shape (W,)
-        Demand of each step with all customers supplied.
-    losses : sequence of Losses
-        Ways to lose units in each of the steps.
-    most_lost : int
-        Units that may be lost in all.
+    ``demand_kw`` is that of each step with all customers supplied, (W,); ``losses`` has the ways to
+    lose units in each.
 
     Returns
     -------

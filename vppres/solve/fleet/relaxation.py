@@ -48,14 +48,7 @@ OF_ENERGY = (
 class Fleet:
     """Rows of the fleet for W steps, of which its problems take what they need.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    sheet : Sheet
-        The compiled statement.
-    lumped : bool
-        Whether the fleet is one battery.
+    ``lumped`` has the fleet as one battery.
 
     Attributes
     ----------

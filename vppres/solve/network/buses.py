@@ -76,14 +76,7 @@ class Reactance:
 class Buses:
     """Limits of a window's voltages and flows, and what both are in a solution.
 
-    Parameters
-    ----------
-    reactance : Reactance
-        Of the site.
-    data : WindowData
-        The window.
-    injected : ColumnPowers
-        What is injected at the buses, less what the network takes.
+    ``injected`` is what is injected at the buses, less what the network takes.
     """
 
     near = ()

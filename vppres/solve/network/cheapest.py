@@ -39,14 +39,7 @@ SUN_OVER_PRICE = 10.0
 class CheapestDispatch:
     """Finds the cheapest dispatch of supply schedules of a window without rules.
 
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    data : WindowData
-        The window.
-    network : NetworkProgram
-        Its problem, with the limits that are known; it gets none of those that are found here.
+    Limits that are found here are not added to those of the ``network``.
     """
 
     def __init__(self, site: Site, data: WindowData, network: NetworkProgram) -> None:

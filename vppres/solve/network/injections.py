@@ -91,12 +91,7 @@ class Injections:
 
     Charging and discharging may overlap, and so may import and export.
 
-    Parameters
-    ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
-        The window; losses of physical mode are a demand of the network.
+    Losses of physical mode are a demand of the network.
 
     Attributes
     ----------

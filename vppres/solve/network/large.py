@@ -91,16 +91,8 @@ class Found:
 class Feeders:
     """A linear problem over several feeders, and the prices at which its solution joins them.
 
-    Parameters
-    ----------
-    program : Program
-        Minimise; with all rows of the solution.
-    solution : ProgramSolution
-        Its optimum, with prices.
-    feeder : array
-        Feeder of each column, ``SHARED`` where it has none.
-    binaries : array
-        Columns that are to be zero or one.
+    ``solution`` is the optimum of the ``program``, with prices of all rows; ``feeder`` has
+    ``SHARED`` for a column of none, and ``binaries`` are columns that are to be zero or one.
     """
 
     def __init__(

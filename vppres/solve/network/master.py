@@ -93,14 +93,7 @@ class SearchState:
 class NetworkMaster:
     """The master in the network of one window.
 
-    Parameters
-    ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
-        The window.
-    deadline : Deadline
-        When everything must be done but for what gets a deadline of its own.
+    By the deadline all must be done but for what gets a deadline of its own.
     """
 
     def __init__(self, cache: ModelCache, data: WindowData, deadline: Deadline) -> None:

@@ -37,13 +37,6 @@ most of the rounds add a handful of tangents that change nothing."""
 class NetworkProgram:
     """Columns and rows of a window, and the limits of the network that were found so far.
 
-    Parameters
-    ----------
-    cache : ModelCache
-        Compiled problems of the site.
-    data : WindowData
-        The window.
-
     Attributes
     ----------
     found : list of Rows

@@ -32,13 +32,6 @@ class LeastReactive(Selected):
 
     Families of active power, energy and service are left out, since a dispatch meets them. What
     limits voltage and reactive power gives way to what the dispatch has.
-
-    Parameters
-    ----------
-    site : Site
-        Fixed data.
-    sheet : Sheet
-        The compiled statement of one step.
     """
 
     def __init__(self, site: Site, sheet: Sheet) -> None:
