@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from dataclasses import fields, replace
 from functools import partial
 from itertools import product
@@ -37,7 +38,7 @@ COLUMNS = (
     "what was moved",
     "windows not certified",
     "largest voltage off plan, pu",
-    "time of a window, s: median, most",
+    "CPU of a step, s: median, most",
 )
 OPEN = (("151", "300"), ("54", "94"))
 """Switches that the circuit has at an end of its own, where the feeder's are open.
@@ -85,17 +86,19 @@ def switched(day: Scenario, line: str, outage: bool) -> Scenario:
 def row(day: Scenario, horizon_h: float, moves: bool) -> str:
     """Cells of a day's run."""
     limits = SolveLimits(time_s=LIMIT_S)
-    run = run_day(day, RunOptions(horizon_h=horizon_h, move_switches=moves, limits=limits))
+    options = RunOptions(horizon_h=horizon_h, move_switches=moves, limits=limits)
+    cpu_s = [time.process_time()]
+    run = run_day(day, options, lambda *_: cpu_s.append(time.process_time()))
     day, steps = run.scenario, run.steps
     during = steps["lines_out"].ne("").to_numpy()
     supplied = run.by_step("customers", "served")[during] @ day.customers.weight
     share = float(supplied.mean() / day.customers.weight.sum())
     off_h = float((~run.by_step("customers", "served").astype(bool)).sum() * day.grid.dt_h)
     moved = "; ".join(words for words in steps.get("switched", ()) if words) or "none"
-    seconds = steps["solve_s"]
+    seconds = np.diff(cpu_s)
     return (
         f"{share:.4f} | {off_h:.0f} | {moved} | {int((steps['status'] != 'optimal').sum())} | "
-        f"{steps['v_error_pu'].max():.1e} | {seconds.median():.1f}, {seconds.max():.1f}"
+        f"{steps['v_error_pu'].max():.1e} | {np.median(seconds):.1f}, {seconds.max():.1f}"
     )
 
 
