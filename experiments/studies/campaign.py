@@ -24,7 +24,6 @@ from experiments.studies.seeds import (
 )
 from vppres.contract.observation import Observation
 from vppres.control.guard.critical import critical_site
-from vppres.control.guard.estimation import StateEstimate
 from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.errors import SolveError
@@ -53,7 +52,7 @@ class StepToJudge:
     """A step that left out a critical customer: what was known, and who was served."""
 
     t: int
-    known: StateEstimate
+    known: Observation
     served: np.ndarray
 
 
@@ -163,10 +162,10 @@ def judge(drawn: RandomDay, steps: Sequence[StepToJudge]) -> list[str]:
     return found
 
 
-def _best_alone(tier: str, site: Site, known: StateEstimate) -> np.ndarray:
+def _best_alone(tier: str, site: Site, known: Observation) -> np.ndarray:
     """Who is served in the step alone with the tier above everything else, (C,)."""
     part = critical_site(site_with(site, known.online), tier)
-    seen: Observation = reduced_observation(known.observation, known.online, site.batteries)
+    seen = reduced_observation(known, site.batteries)
     method, solver = JUDGE
     try:
         window = WindowData.of(seen, part, "lossless").first(1)

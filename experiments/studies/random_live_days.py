@@ -375,7 +375,7 @@ class Player:
             words = " ".join(plan["estimated"])
             if name not in self._fresh or f"soc {name} " in words or f"battery {name} " in words:
                 continue
-            read, taken = self._fresh[name], float(guard.known.observation.soc[i])
+            read, taken = self._fresh[name], float(guard.known.soc[i])
             if not guard.known.online[i] or taken < read - given[i]:
                 found = f"{when}: {name} {read:.3f} read, {taken:.3f} taken"
                 self.found.disbelieved.append(found)

@@ -80,7 +80,7 @@ class Judge:
             site = _first_alone(site_with(guard.site, known.online), first)
             self._solvers[key] = WindowSolver(site, limits=PATIENT)
         solver = self._solvers[key]
-        seen = reduced_observation(known.observation, known.online, guard.site.batteries)
+        seen = reduced_observation(known, guard.site.batteries)
         window = WindowData.of(replace(seen, stored_value=None), solver.site, guard.options.centre)
         served = solver.solve(window.first(steps)).dispatch.served
         return int((~np.asarray(served, dtype=bool)[:, first]).sum())
