@@ -125,9 +125,8 @@ def test_what_weighs_less_than_the_gap_is_left_open_and_recorded() -> None:
     worse_gbp = loose.terms.f2 - levelled.terms.f2
     # 2 weighted customer hours at a gap of 1e-4, over the weight of a GBP: all there is is open.
     assert 0.0 <= worse_gbp <= loose.cost_gap_gbp
-    assert loose.cost_gap_gbp == pytest.approx(
-        min(loose.gap_abs / day.objective.lambda_grid, loose.terms.f2)
-    )
+    open_gbp = loose.terms.f2 - (loose.terms.f1 - loose.bound) / day.objective.lambda_grid
+    assert loose.cost_gap_gbp == pytest.approx(min(open_gbp, loose.terms.f2))
     assert loose.service_gap >= 0.0
 
 

@@ -56,7 +56,7 @@ def test_a_restored_customer_stays_on_supply_for_an_hour(
 ) -> None:
     notes = write_new_scenario(tagged, NewScenarioOptions(step_minutes=15), tmp_path / "mine")
     assert read_scenario(tmp_path / "mine").switching.min_served_h == 1.0
-    assert any("stays on supply for at least 1 h" in note for note in notes)
+    assert any("1 h on supply for a customer that is restored" in note for note in notes)
 
 
 def test_normally_open_lines_are_switches(

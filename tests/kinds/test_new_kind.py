@@ -35,6 +35,7 @@ NAMES = (
     ("thermal loads", "pools"),
     ('"th_', '"po_'),
     ("indoor_", "water_"),
+    ("thermostat_ordered_", "valve_ordered_"),
     ('"prepared"', '"readied"'),
     ('"cooled or heated ahead"', '"readied for an outage"'),
 )

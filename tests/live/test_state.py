@@ -144,7 +144,7 @@ print(step.batteries.to_json(double_precision=15), step.import_kw, step.solve["b
 
 
 # Attributes of controllers that are no memory: made anew with them, or read before they are set.
-MADE_ANEW = {"_critical", "_solvers", "_sweeps", "_controller_of", "_solver_of", "solver"}
+MADE_ANEW = {"_critical", "_solvers", "_sweeps", "_controller_of", "_solver_of", "known", "solver"}
 
 
 def parts_of(found: object, known: set[int]) -> Iterator[object]:
