@@ -150,6 +150,7 @@ def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: 
     large = CIRCUIT.replace("kvar=150", "kvar=900")
     file.write_text(large.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
     day = phased_day(file)
+    day = replace(day, controller=replace(day.controller, ratings="limit"))
     site, data, found = decided(day.between(8, 10))
     unrated = WindowSolver(site, limits=SolveLimits())._decided(data, SolveLimits())
     kept, free = (
