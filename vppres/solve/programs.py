@@ -204,7 +204,10 @@ class Program:
 
 @dataclass(frozen=True, eq=False)
 class ProgramSolution:
-    """Status, value and dual bound of a program, values of its columns and duals of its rows."""
+    """Status, value and dual bound of a program, values of its columns and duals of its rows.
+
+    Duals of an infeasible program are those of the proof: a ray, without scale.
+    """
 
     status: Status
     value: float
@@ -223,13 +226,12 @@ class ProgramSolution:
         whole = len(solver.getLp().integrality_) > 0
         value = info.objective_function_value
         bound = min(info.mip_dual_bound, value) if whole else value
-        return cls(
-            _status(solver.getModelStatus(), info.primal_solution_status),
-            value,
-            bound,
-            np.asarray(solution.col_value),
-            np.asarray(solution.row_dual),
-        )
+        status = _status(solver.getModelStatus(), info.primal_solution_status)
+        row_dual = np.asarray(solution.row_dual)
+        if status == Status.INFEASIBLE and not whole:
+            _, exists, ray = solver.getDualRay()
+            row_dual = ray if exists else np.zeros(solver.getNumRow())
+        return cls(status, value, bound, np.asarray(solution.col_value), row_dual)
 
     def outcome(self, solve_s: float) -> Outcome:
         """Outcome without values, after so many seconds."""

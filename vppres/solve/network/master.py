@@ -174,8 +174,9 @@ class NetworkMaster:
         A search with binaries has the limits that had a price in a linear solution so far: most of
         the others never bind, and make every node slower. Its set goes to the linear problem in
         which no customer is supplied beyond it. What that serves in full is carried, and its prices
-        forbid the set if that is less than all. A set that closes the search, and the best at its
-        end, is put to the true discs.
+        forbid the set if that is less than all. So do those of a proof that the network carries
+        nothing without customers beyond the set, as in an island whose voltages rise without load.
+        A set that closes the search, and the best at its end, is put to the true discs.
         """
         binding = self._priced(self.network.program, self.root[1])
         while not known.closed() and not deadline.passed:
@@ -185,10 +186,12 @@ class NetworkMaster:
                     return
                 known.tried, known.best, known.most = known.best, None, -np.inf
             linear = self._tried(known.tried, known.most, known.bound)
-            if linear.status != Status.OPTIMAL:
+            priced = np.union1d(binding, self._priced(self.network.program, linear))
+            if linear.status == Status.OPTIMAL:
+                known.improve(*self._carried(linear))
+            elif linear.status != Status.INFEASIBLE or len(priced) == len(binding):
                 break
-            known.improve(*self._carried(linear))
-            binding = np.union1d(binding, self._priced(self.network.program, linear))
+            binding = priced
         if known.best is not None and not known.closed():
             linear = self._tried(known.best, -np.inf)
             if linear.status == Status.OPTIMAL:
