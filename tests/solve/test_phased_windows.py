@@ -37,6 +37,7 @@ from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken
+from vppres.scenario.phases import PhaseShunt
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
@@ -112,6 +113,20 @@ def test_sun_on_a_phase_of_the_former_needs_no_search_of_the_whole_problem(seed:
     found = decided(random_phased(seed))[2]
     assert found.status == "optimal"
     assert not [stage for stage in found.stages if stage.startswith("full")]
+
+
+@pytest.mark.daily
+def test_a_capacitor_that_only_customers_balance_needs_no_search_of_the_whole_problem() -> None:
+    """The former carries it only beside some customers; their price is that of a proof."""
+    day = random_phased(181)
+    capacitor = PhaseShunt("8", "a b c", day.network.base_kv / np.sqrt(3.0), 0.0, -399.5)
+    site, data, found = decided(replace(day, phases=replace(day.phases, shunts=(capacitor,))))
+    assert found.status == "optimal"
+    assert "network_service[highs]" in found.stages
+    assert not [stage for stage in found.stages if stage.startswith("full")]
+    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    assert inside - 1e-6 <= found.objective <= around + 1e-6
+    assert found.bound >= inside - 1e-6
 
 
 def with_kinds(seed: int) -> Scenario:
