@@ -98,8 +98,8 @@ MECHANISMS = (
     ),
     Mechanism(
         "cheaper set in the network",
-        {"network.decide.InNetwork.cheaper": no_search},
-        ("network.decide.InNetwork.cheaper", "network.master.NetworkMaster.cheaper"),
+        {"network.master.NetworkMaster.cheaper": no_search},
+        ("network.master.NetworkMaster.cheaper",),
     ),
     Mechanism(
         "options of HiGHS",

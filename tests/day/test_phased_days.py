@@ -293,7 +293,7 @@ def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
     recorded = Recorded(run_of(day, horizon_h=1.0))
 
     def prices(t: int, letters: int) -> dict[str, Floats]:
-        model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond_at(t))
+        model = ShadowPriceModel(recorded.site, recorded.seen(t).n_steps, recorded.beyond_at(t))
         found = step_prices(recorded, model, t)
         assert len({"u", "P_flow", "Q_flow"} & model.first.keys()) == letters
         level = found.service if found.cost is None else found.cost

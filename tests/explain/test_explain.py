@@ -20,7 +20,7 @@ from vppres.day.phases import phases
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
-from vppres.explain.prices import day_prices, step_prices
+from vppres.explain.prices import day_prices
 from vppres.explain.recorded import Recorded
 from vppres.explain.step import DRIVERS, Driver
 from vppres.explain.words import figure, hours
@@ -273,11 +273,11 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
 @pytest.mark.parametrize(
     "t", [6, 9, *(pytest.param(t, marks=pytest.mark.nightly) for t in (2, 7, 12))]
 )
-def test_one_more_kwh_on_the_heatwave_day(
-    priced_heatwave: tuple[Recorded, ShadowPriceModel], t: int
-) -> None:
-    recorded, model = priced_heatwave
-    data, held = recorded.seen(t), recorded.held(t, len(recorded.seen(t).price_gbp_per_kwh))
+def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
+    recorded = Recorded(heatwave)
+    data = recorded.seen(t)
+    held = recorded.held(t, data.n_steps)
+    model = ShadowPriceModel(recorded.site, data.n_steps)
     before = price_window(model, data, held, SERVICE)
     assert before is not None
     for battery in (0, 17):
@@ -296,12 +296,6 @@ def test_one_more_kwh_on_the_heatwave_day(
 def heatwave() -> Trajectory:
     """The packaged day from 05:00 to 20:00, with its outage from 12:00 to 18:00."""
     return run_day(vppres.load_scenario("uk-heatwave-2022").between(5, 20))
-
-
-@pytest.fixture(scope="module")
-def priced_heatwave(heatwave: Trajectory) -> tuple[Recorded, ShadowPriceModel]:
-    recorded = Recorded(heatwave)
-    return recorded, ShadowPriceModel(recorded.site, recorded.n_seen)
 
 
 @pytest.fixture(scope="module")
@@ -605,19 +599,6 @@ def test_steps_without_batteries_and_pv(tiny: Scenario) -> None:
     out = reasons[reasons["action"] == "not_served"]
     assert len(out) == 6 and set(out["binding"]) == {"power"}
     assert set(prices["constraint"]) <= {"active", "reactive", "grid"}
-
-
-def test_padding_changes_nothing(tiny_run: Trajectory) -> None:
-    recorded = Recorded(tiny_run)
-    exact, padded = (ShadowPriceModel(recorded.site, n) for n in (3, 6))
-    for t in (1, 3):
-        one, other = (step_prices(recorded, model, t) for model in (exact, padded))
-        for level in ("service", "cost"):
-            a, b = getattr(one, level), getattr(other, level)
-            assert (a is None) == (b is None)
-            if a is not None:
-                assert a.value == pytest.approx(b.value, rel=1e-6)
-                assert a.prices.stored_energy == pytest.approx(b.prices.stored_energy, abs=1e-5)
 
 
 def test_phases_between_two_outages() -> None:

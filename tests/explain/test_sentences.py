@@ -58,8 +58,8 @@ class Priced:
     @classmethod
     def of(cls, recorded: Recorded, t: int) -> Priced:
         site = recorded.site
-        model = ShadowPriceModel(site, recorded.n_seen, recorded.beyond)
         data = recorded.seen(t)
+        model = ShadowPriceModel(site, data.n_steps, recorded.beyond)
         held = recorded.held(t, data.n_steps)
         priced = cls(recorded, model, data, held)
         if not np.isnan(priced.value()):

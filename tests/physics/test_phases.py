@@ -413,7 +413,7 @@ def test_vehicles_rooms_and_sets_are_those_of_opendss(
 def check_price_of_a_phase(trajectory: Trajectory) -> None:
     """One more kVA on all phases of the former buys what their shadow prices add up to."""
     recorded = Recorded(trajectory)
-    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
+    model = ShadowPriceModel(recorded.site, recorded.seen(0).n_steps, recorded.beyond)
     window = recorded.seen(0)
     held = recorded.held(0, window.n_steps)
     terms = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)

@@ -11,6 +11,7 @@ import pytest
 from benchmarks.random_feeders import Window, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
+from tests.support.injections import in_network
 from tests.support.made_up_runs import without_devices
 from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.control.guard.relax import widened
@@ -25,11 +26,9 @@ from vppres.physics.nose import follow
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
-from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.cheapest import CheapestDispatch
-from vppres.solve.network.master import NetworkMaster
 from vppres.solve.result import Status
 
 BASE_KV = 10.0
@@ -220,7 +219,7 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     case = with_transformers(random_window(seed), seed)
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data).dispatch
-    master = NetworkMaster(ModelCache(site), case.data, Deadline(20.0))
+    master = in_network(site, case.data)
     outcome, dispatch = CheapestDispatch(site, case.data, master.network).of(
         answer.served, Deadline(20.0)
     )

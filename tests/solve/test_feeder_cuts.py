@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from tests.support.injections import columns_of
+from tests.support.injections import columns_of, in_network
 from tests.support.small_windows import window
 from vppres.contract.dispatch import Dispatch
 from vppres.io import find_scenario, read_scenario
@@ -16,7 +16,6 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
-from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.netting import net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
@@ -26,7 +25,6 @@ from vppres.solve.network.large import (
     ServiceCuts,
     feeder_of_buses,
     feeder_of_rows,
-    master_in_network,
 )
 from vppres.solve.network.master import DISCS, NetworkMaster
 from vppres.solve.programs import Program, ProgramSolution
@@ -90,9 +88,9 @@ def test_cuts_leave_every_set_that_is_carried(
     data = window(day, slice(hour, hour + 2), 0.35)
 
     def master() -> NetworkMaster:
-        return master_in_network(ModelCache(site), data, Deadline(TIME_S))
+        return in_network(site, data)
 
-    usual, best = master().service(Deadline(TIME_S))
+    usual, best = master().service(0.5)
     assert usual.status == Status.OPTIMAL
     assert best is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
@@ -106,7 +104,7 @@ def test_cuts_leave_every_set_that_is_carried(
     x = best.ravel().astype(float)
     for gain, most in zip(cuts.gains, cuts.most_units, strict=True):
         assert large.units @ x <= most + gain @ x + 1e-5
-    outcome, served = master().service(Deadline(TIME_S))
+    outcome, served = master().service(0.5)
     assert served is not None
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
 
@@ -115,12 +113,10 @@ def cheapest_of_large(
     site: Site, data: WindowData, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[NetworkMaster, Dispatch]:
     """The cheapest dispatch of the best schedule, as of a large window."""
-    _, served = master_in_network(ModelCache(site), data, Deadline(TIME_S)).service(
-        Deadline(TIME_S)
-    )
+    _, served = in_network(site, data).service(0.5)
     assert served is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = master_in_network(ModelCache(site), data, Deadline(TIME_S))
+    master = in_network(site, data)
     outcome, dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     assert dispatch is not None
@@ -191,8 +187,8 @@ def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
 
     def service() -> tuple[Outcome, NetworkMaster, np.ndarray | None]:
-        master = master_in_network(ModelCache(site), data, Deadline(TIME_S))
-        outcome, served = master.service(Deadline(TIME_S))
+        master = in_network(site, data)
+        outcome, served = master.service(0.5)
         return outcome, master, served
 
     usual, exact, served = service()

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from tests.support.dispatch_check import check_dispatch
+from tests.support.injections import in_network
 from tests.support.small_windows import window
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
-from vppres.solve.cache import ModelCache
-from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.buses import Reactance
-from vppres.solve.network.master import NetworkMaster
 from vppres.solve.result import Status, WindowSolution
 
 TIME_S = 20.0
@@ -71,7 +69,7 @@ def test_reactive_power_in_two_parts_proves_the_same(
     site = Site.of(heavy)
 
     def service() -> tuple[float, float]:
-        master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+        master = in_network(site, data)
         return master.root[1].value, sum(len(rows.lower) for rows in master.network.found)
 
     value, tangents = service()

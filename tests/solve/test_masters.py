@@ -15,7 +15,7 @@ from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
 from benchmarks.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
-from tests.support.injections import columns_of
+from tests.support.injections import columns_of, in_network
 from tests.support.programs import knapsack
 from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
@@ -36,7 +36,7 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.levels import service_then_cost
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
-from vppres.solve.network.master import DISCS, NetworkMaster
+from vppres.solve.network.master import DISCS
 from vppres.solve.programs import (
     PROOF,
     SUMS_KEPT,
@@ -222,7 +222,7 @@ def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
     master = master_of(task, True)
     assert master is not None
-    service_then_cost(task, master)
+    service_then_cost(master)
     search_s = 100.0 * (1.0 - NETWORK_RESERVE)
     share = COST_SHARE if certified else HALF
     assert left_s[0] == pytest.approx(share * search_s, abs=5.0)
@@ -258,8 +258,8 @@ def test_network_master_certifies_a_window_whose_voltages_bind(heavy: Scenario) 
     assert decomposed.status == whole.status == Status.OPTIMAL
     assert decomposed.bound >= whole.objective - 1e-6
     assert decomposed.objective >= whole.objective - 1e-4 * abs(whole.objective)
-    master = NetworkMaster(shared_cache(site), data, Deadline(TIME_S))
-    outcome, served = master.service(Deadline(TIME_S))
+    master = in_network(site, data)
+    outcome, served = master.service(0.5)
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
@@ -286,8 +286,8 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     sunny = replace(packaged, price_gbp_per_kwh=0.0 * packaged.price_gbp_per_kwh)
     site = Site.of(sunny)
     data = day_window(sunny, 9, 4, 0.3)
-    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S))[1]
+    master = in_network(site, data)
+    served = master.service(0.5)[1]
     assert served is not None
     dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert dispatch is not None
@@ -299,12 +299,10 @@ def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
     heavy: Scenario,
 ) -> None:
     data = day_window(heavy, 17, 3, 0.3)
-    known, everything = (
-        NetworkMaster(shared_cache(Site.of(heavy)), data, Deadline(TIME_S)) for _ in range(2)
-    )
+    known, everything = (in_network(Site.of(heavy), data) for _ in range(2))
     units = known.most_units - 1.0
     assert everything.most_units == known.most_units
-    least = known.least_cost(units)
+    least = known.least_cost(units, everyone=False)
     again = ProgramSolution.of(known.network.loaded(known._enough(units)), Deadline(TIME_S))
     enough = everything.network.loaded(everything._enough(units))
     found = everything._until_carried(enough, Deadline(TIME_S))
@@ -385,8 +383,8 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
 
 def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scenario) -> None:
     data, site = day_window(heavy, 17, 3, 0.3), Site.of(heavy)
-    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S))[1]
+    master = in_network(site, data)
+    served = master.service(0.5)[1]
     assert served is not None
     before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
     assert before is not None

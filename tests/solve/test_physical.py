@@ -17,6 +17,7 @@ from benchmarks.random_feeders import Window, random_scenario, random_window
 from experiments.studies.islands import claims_of, imbalance_kw, random_day
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
+from tests.support.injections import in_network
 from tests.support.refusals import refusal
 from tests.support.small_windows import CHECKER_TOLERANCE, observed, window
 from vppres.contract.forecast import Forecaster, ForecastErrors
@@ -55,7 +56,7 @@ from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.netting import net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
-from vppres.solve.network.master import NetworkMaster, applies
+from vppres.solve.network.master import applies
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, Status, WindowSolution
@@ -137,7 +138,7 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
         site, data = Site.of(case.scenario), case.data
         if not applies(site, data):
             continue
-        master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+        master = in_network(site, data)
         served = WindowSolver(site).solve(data).dispatch.served
         before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
         if before is None:

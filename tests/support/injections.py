@@ -1,4 +1,4 @@
-"""Dispatches as columns of the program in the network."""
+"""Dispatches as columns of the program in the network, and its master."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
+from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
+from vppres.solve.network.decide import network_master
 from vppres.solve.network.injections import Injections
+from vppres.solve.network.master import NetworkMaster
+from vppres.solve.result import SolveLimits
+from vppres.solve.solvers import find_solver
+from vppres.solve.task import WindowTask
 
 
 def columns_of(model: Injections, d: Dispatch) -> Floats:
@@ -26,3 +35,12 @@ def columns_of(model: Injections, d: Dispatch) -> Floats:
         if model.at(name).size:
             x[model.at(name)] = values
     return x
+
+
+def in_network(site: Site, data: WindowData, time_s: float = 20.0) -> NetworkMaster:
+    """The master in the network of a window, which has none from other tests."""
+    limits, highs = SolveLimits(time_s=time_s), find_solver("highs")
+    task = WindowTask.begin(data, ModelCache(site), limits, highs, POLYGON_SIDES)
+    found = network_master(task)
+    assert found is not None
+    return found

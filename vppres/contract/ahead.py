@@ -63,10 +63,6 @@ class KindsAhead:
         """Some steps of the window."""
         return self._each(lambda known: known.part(steps))
 
-    def followed_by_none(self, n_steps: int) -> Self:
-        """Append steps in which nothing is there, or can be missed."""
-        return self._each(lambda known: known.followed_by_none(n_steps))
-
     def in_the_dark(self, lit: Flags) -> Self:
         """Window without power except in the lit steps, (W, 1)."""
         return self._each(lambda known: known.in_the_dark(lit))

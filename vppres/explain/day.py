@@ -70,7 +70,8 @@ def explain_day(trajectory: Trajectory, progress: Progress | None = None) -> Tra
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
     [recorded] = _weighed(trajectory, slice(t, t + 1))
-    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond_at(t))
+    n_steps = recorded.seen(t).n_steps
+    model = ShadowPriceModel(recorded.site, n_steps, recorded.beyond_at(t))
     phase = trajectory.steps["phase"].iloc[t]
     step = Step(recorded, t, phase, step_prices(recorded, model, t))
     return [{"phase": phase, **row} for row in _actions(step)], _prices(step)

@@ -75,15 +75,17 @@ def day_prices(
 ) -> list[StepPrices]:
     """Shadow prices of every step of a run.
 
-    A problem is compiled for all steps that share a record and the lines that are out.
+    A problem is compiled for all steps that share a record, the lines that are out and the number
+    of steps that they see.
     """
-    models: dict[tuple[int, Beyond], ShadowPriceModel] = {}
+    models: dict[tuple[int, Beyond, int], ShadowPriceModel] = {}
     found = []
     for t, one in enumerate(recorded):
         beyond = one.beyond_at(t)
-        key = id(one), beyond
+        n_steps = one.seen(t).n_steps
+        key = id(one), beyond, n_steps
         if key not in models:
-            models[key] = ShadowPriceModel(one.site, one.n_seen, beyond)
+            models[key] = ShadowPriceModel(one.site, n_steps, beyond)
         found.append(step_prices(one, models[key], t))
         if progress is not None:
             progress(t + 1, len(recorded))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -42,11 +41,6 @@ class Physics:
         """Some of the steps."""
         return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
 
-    def followed_by_nothing(self, n_steps: int) -> Physics:
-        """Append steps that lose nothing and keep nothing."""
-        values = (getattr(self, f.name) for f in fields(self))
-        return Physics(*(np.pad(v, [(0, n_steps), (0, 0)][: v.ndim]) for v in values))
-
 
 @dataclass(frozen=True, eq=False)
 class Unspent:
@@ -82,16 +76,6 @@ class PhasedWindow:
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""
         return PhasedWindow(*(getattr(self, f.name)[steps] for f in fields(self)))
-
-    def followed_by_rest(self, n_steps: int) -> PhasedWindow:
-        """Append steps in which no voltage and no phase limits anything."""
-        rest = {"u_offset": 1.0, "u_max": 2.0, "room_kva": 1.0, "current_max": np.inf}
-        longer: dict[str, Any] = {}
-        for f in fields(self):
-            rows = getattr(self, f.name)
-            width = [(0, n_steps), *[(0, 0)] * (rows.ndim - 1)]
-            longer[f.name] = np.pad(rows, width, constant_values=rest.get(f.name, 0.0))
-        return PhasedWindow(**longer)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,11 +43,6 @@ class Parts:
         """Some of the steps."""
         return Parts(*(getattr(self, f.name)[steps] for f in fields(self)))
 
-    def followed_by_one(self, n_steps: int) -> Parts:
-        """Append steps in which the feeder is one part, that of the grid."""
-        values = (getattr(self, f.name) for f in fields(self))
-        return Parts(*(np.pad(v, [(0, n_steps), (0, 0)]) for v in values))
-
     @property
     def cut(self) -> Flags:
         """Steps in which lines are out, (W,)."""

@@ -22,7 +22,6 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import SITES_KEPT
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Task
+from vppres.solve.tasks import OUT_OF_MEMORY, Reply, Setup, Task
 
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
@@ -92,18 +91,17 @@ class Worker:
 
     def __init__(self, memory_bytes: int) -> None:
         self.memory_bytes = memory_bytes
-        self._warm: OrderedDict[str, set[object]] = OrderedDict()
+        self._warm: OrderedDict[Setup, set[object]] = OrderedDict()
         self._begin = time.monotonic()
         self._ready = False
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
-        ours, theirs = socket.socketpair()
-        self._channel = Channel(ours)
+        self._end, theirs = socket.socketpair()
+        self._replies = self._end.makefile("rb")
         try:
             with theirs:
                 self.process = _spawned(theirs, memory_bytes, self._log)
         except (OSError, ValueError) as error:
-            self._channel.close()
-            self._log.close()
+            self._close()
             raise SolverLostError(
                 f"The solver's process could not be started: {error}. Solve in the controller's "
                 "own process, RunOptions(isolate=False) or --no-isolate."
@@ -116,21 +114,21 @@ class Worker:
 
     def knows(self, task: Task, kind: object) -> bool:
         """Whether the process has done a task of that kind, and so compiled its problems."""
-        return kind in self._warm.get(task.key, ())
+        return kind in self._warm.get(task.setup, ())
 
-    def compiled(self, key: str) -> bool:
+    def compiled(self, setup: Setup | None) -> bool:
         """Whether the process has compiled any problems of a setup."""
-        return key in self._warm
+        return setup in self._warm
 
     def done(self, task: Task, kind: object) -> None:
         """Remember a task that was done."""
-        kinds = self._warm.pop(task.key, set())
-        self._warm[task.key] = kinds | {kind}
+        kinds = self._warm.pop(task.setup, set())
+        self._warm[task.setup] = kinds | {kind}
         while len(self._warm) > SITES_KEPT:
             self._warm.popitem(last=False)
 
     def ask(self, task: Task, within_s: float) -> Reply:
-        """Do a task, whose setup is sent only where the process lacks it.
+        """Do a task.
 
         The time until the reply counts from when the process is ready.
 
@@ -143,18 +141,35 @@ class Worker:
             self._started()
             self._ready = True
         due = time.monotonic() + within_s
-        reply = self._exchange(replace(task, setup=None), due, within_s)
-        return self._exchange(task, due, within_s) if reply.unknown else reply
+        try:
+            self._end.settimeout(within_s)
+            self._end.sendall(pickle.dumps(task, protocol=5))
+        except TimeoutError:
+            raise _late("answer", within_s) from None
+        except OSError:
+            raise self._dead() from None
+        return self._hear(due, "answer", within_s)
 
     def _started(self) -> None:
         """Wait until the process has loaded; one that is stopped never will."""
         due = self._begin + START_S
-        while not self._channel.waits(LOOK_S) and time.monotonic() < due:
+        while not self._speaks() and time.monotonic() < due:
             if self._stopped:
                 raise SolverLostError(
                     "The solver's process was stopped while it started, and was killed."
                 )
         self._hear(due, "start", START_S)
+
+    def _speaks(self) -> bool:
+        """Whether the process has sent something, or ended, after a look."""
+        self._end.settimeout(LOOK_S)
+        try:
+            self._end.recv(1, socket.MSG_PEEK)
+        except TimeoutError:
+            return False
+        except OSError:
+            pass
+        return True
 
     @property
     def _stopped(self) -> bool:
@@ -166,23 +181,14 @@ class Worker:
             return bool(pid) and os.WIFSTOPPED(status)
         return False
 
-    def _exchange(self, task: Task, due: float, within_s: float) -> Reply:
-        """Send and hear."""
-        try:
-            self._channel.send(task, max(due - time.monotonic(), _SOON_S))
-        except TimeoutError:
-            raise _late("answer", within_s) from None
-        except OSError:
-            raise self._dead() from None
-        return self._hear(due, "answer", within_s)
-
     def _hear(self, due: float, verb: str, within_s: float) -> Reply:
         """The next reply."""
         try:
-            reply: Reply = pickle.loads(self._channel.receive(due - time.monotonic()))
+            self._end.settimeout(max(due - time.monotonic(), _SOON_S))
+            reply: Reply = pickle.load(self._replies)
         except TimeoutError:
             raise _late(verb, within_s) from None
-        except (EOFError, OSError):
+        except (EOFError, OSError, pickle.UnpicklingError):  # or it ended within a reply
             raise self._dead() from None
         except Exception as error:
             raise SolverLostError(
@@ -226,16 +232,19 @@ class Worker:
     def end(self) -> None:
         """Kill the process and leave nothing of it."""
         self.process.kill()
-        self._channel.close()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(_REAP_S)
-        self._log.close()
+        self._close()
 
     def forget(self) -> None:
         """Leave a process that another process started, after a fork."""
-        self._channel.close()
-        self._log.close()
+        self._close()
         self.process.returncode = 0
+
+    def _close(self) -> None:
+        """Give the files back."""
+        for file in (self._replies, self._end, self._log):
+            file.close()
 
 
 def _late(verb: str, within_s: float) -> SolverLostError:
@@ -291,7 +300,7 @@ class Workers:
 
     def start(self) -> None:
         """Start a process if none is idle, so that it loads while the caller goes on."""
-        self._put(self._taken(""))
+        self._put(self._taken())
 
     def ask(self, task: Task, kind: object, within_s: Callable[[bool], float]) -> Reply:
         """Do a task in an idle process.
@@ -305,7 +314,7 @@ class Workers:
             If the process died or was late. Another one is started at once: it loads while the
             caller falls back.
         """
-        worker = self._taken(task.key)
+        worker = self._taken(task.setup)
         try:
             reply = worker.ask(task, within_s(worker.knows(task, kind)))
         except SolverLostError:
@@ -336,12 +345,12 @@ class Workers:
         self._idle = []
         self._lock = threading.Lock()
 
-    def _taken(self, key: str) -> Worker:
+    def _taken(self, setup: Setup | None = None) -> Worker:
         """An idle process, if possible one that has the setup's problems; or a new one."""
         with self._lock:
             dead = [worker for worker in self._idle if not worker.alive]
             self._idle = [worker for worker in self._idle if worker.alive]
-            found = next((w for w in self._idle if w.compiled(key)), None)
+            found = next((w for w in self._idle if w.compiled(setup)), None)
             if found is None and self._idle:
                 found = self._idle[-1]
             if found is not None:
@@ -494,7 +503,7 @@ class IsolatedSolver(WindowSolver):
 
     def _ask(self, method: str, data: WindowData, *args: Any, within_s: float = math.inf) -> Any:
         """Call a method of the solver in the other process."""
-        task = Task(self._setup.key, method, (data, *args), self._setup)
+        task = Task(self._setup, method, (data, *args))
         reply = self._from().ask(
             task,
             _kind(self.site, method, data),

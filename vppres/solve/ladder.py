@@ -420,7 +420,7 @@ def _by_levels(task: WindowTask, lumped: bool) -> None:
     """Service, then cost, by a master that may not apply."""
     master = master_of(task, lumped)
     if master is not None:
-        service_then_cost(task, master)
+        service_then_cost(master)
 
 
 def worth_an_answer(task: WindowTask) -> bool:

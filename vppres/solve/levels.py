@@ -5,7 +5,7 @@ The proofs are in ``docs/method.md``, *Why the bounds hold*.
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -13,54 +13,66 @@ from vppres.core.arrays import Flags
 from vppres.model.numerics import ROUNDING
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import HALF, Deadline
+from vppres.solve.fleet.relaxation import weight_grid
 from vppres.solve.programs import HALF_UNIT, WHOLE_GAP
 from vppres.solve.result import Outcome
 from vppres.solve.task import COST_SHARE, WindowTask
 
 
-class Relaxation(Protocol):
-    """A relaxation of a window whose service is a multiple of a unit, less what is curtailed."""
+class Relaxation(ABC):
+    """A relaxation of a window whose service is a multiple of a unit, less what is curtailed.
 
-    @property
-    def stage(self) -> str:
-        """Beginning of the names of its stages."""
+    Attributes
+    ----------
+    stage : str
+        Beginning of the names of its stages.
+    is_last : bool
+        Whether none that is closer to the whole problem counts service.
+    searches_cost : bool
+        Whether a search for a cheaper set is worth its time.
+    deadline : Deadline
+        When service and cost must be done.
+    unit : float
+        Granularity of the weights.
+    """
 
-    @property
-    def unit(self) -> float:
-        """Granularity of the weights."""
+    stage = ""
+    is_last = False
+    searches_cost = True
 
-    @property
-    def deadline(self) -> Deadline:
-        """When service and cost must be done."""
+    def __init__(self, task: WindowTask, deadline: Deadline) -> None:
+        self.task = task
+        self.site = task.site
+        self.data = task.data
+        self.cache = task.cache
+        self.deadline = deadline
+        self.unit = weight_grid(task.site.customers.weight * task.site.dt_h)
 
-    @property
-    def is_last(self) -> bool:
-        """Whether none that is closer to the whole problem counts service."""
-
-    @property
-    def searches_cost(self) -> bool:
-        """Whether a search for a cheaper set is worth its time."""
-
+    @abstractmethod
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, and a set that has it."""
 
+    @abstractmethod
     def least_cost(self, units_min: float, everyone: bool) -> Outcome:
         """Least cost of shares of customers with so many units, in GBP.
 
         With ``everyone`` all customers are supplied in steps without a limit of import.
         """
 
+    @abstractmethod
     def cheaper(
         self, units_min: float, everyone: bool, best: Candidate, gap_gbp: float, deadline: Deadline
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units, and a set that is cheaper than the best."""
 
+    @abstractmethod
     def keep(self, served: Flags) -> None:
         """Keep the dispatch of a set if it is the best so far."""
 
 
-def service_then_cost(task: WindowTask, relaxation: Relaxation) -> None:
+def service_then_cost(relaxation: Relaxation) -> None:
     """Service first, on the weights' grid, then the cost of all sets that serve as much."""
+    task = relaxation.task
     known = task.certificate
     outcome, served = relaxation.service(task.gap / relaxation.unit)
     known.note(f"{relaxation.stage}service", outcome)
@@ -75,16 +87,16 @@ def service_then_cost(task: WindowTask, relaxation: Relaxation) -> None:
         return
     if relaxation.is_last or service_bound - best.service <= task.gap:
         known.service_bound = service_bound
-        _least_cost(task, relaxation, best)
+        _least_cost(relaxation, best)
 
 
-def _least_cost(task: WindowTask, relaxation: Relaxation, best: Candidate) -> None:
+def _least_cost(relaxation: Relaxation, best: Candidate) -> None:
     """Cheapest set that serves as much, the bound on the cost of all, and so the bound on F.
 
     A set that serves less than what is admitted either serves too little to be better than the
     dispatch at hand, or costs at least what the linear relaxation says.
     """
-    known = task.certificate
+    known = relaxation.task.certificate
     unit = relaxation.unit
     needed = known.least_service_of_better()
     # Rounding must exclude no set of exactly that service.

@@ -3,8 +3,7 @@
 It is solved after the day, never in the loop, for its duals: they say what one more kWh, kW, kvar
 or kVA would have bought. Service lies between the bounds that are given for each customer and step,
 the modes of batteries that moved are those of the record in the first step, everything else is the
-paper's problem with the true discs. Shorter windows are padded with steps in which no customer has
-a load and nothing can be had, so that one problem is compiled for a day.
+paper's problem with the true discs.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
@@ -62,7 +60,7 @@ class PricedTerms:
 
 
 class ShadowPriceModel(Selected):
-    """The pricing problem over at most W steps, compiled once."""
+    """The pricing problem over W steps, compiled once."""
 
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
@@ -100,10 +98,9 @@ class ShadowPriceModel(Selected):
         return [name for name in names if not used[name] & gone]
 
     def price(self, data: WindowData, held: FixedDecisions, priced: PricedTerms) -> None:
-        """Write a window's data, padded to the compiled length, and what is held and priced."""
-        missing = self.n_steps - data.n_steps
-        self.data = _padded(data, missing)
-        self.fill(self.data)
+        """Write a window's data, and what is held and priced."""
+        self.data = data
+        self.fill(data)
         self.compile()
         self.factors.update(f1=priced.service, f2=-priced.cost, f3=-priced.curtailment)
         for name in {"f7", "own"} & self.factors.keys():
@@ -114,8 +111,8 @@ class ShadowPriceModel(Selected):
         self.limits = {
             "mode_min": -np.vstack([held.mode_min, 0.0 * later]),
             "mode_max": np.vstack([held.mode_max, later]),
-            "service_min": -_rows(held.service_min, missing),
-            "service_max": _rows(held.service_max, missing),
+            "service_min": -held.service_min,
+            "service_max": held.service_max,
             "f3": min(priced.curtailed_max_kwh, everything),
         }
 
@@ -134,33 +131,3 @@ class ShadowPriceModel(Selected):
     def dual(self, name: str) -> Floats:
         """Gain of one more unit of a family's limits, in its rows' shape."""
         return np.reshape(self.duals[self.rows_of[name]], self.family(name).shape, order="F")
-
-
-def _padded(data: WindowData, missing: int) -> WindowData:
-    """The window followed by empty steps."""
-    return replace(
-        data,
-        load_kw=_rows(data.load_kw, missing),
-        pv_kw=_rows(data.pv_kw, missing),
-        price_gbp_per_kwh=_rows(data.price_gbp_per_kwh, missing),
-        grid_limit_kw=_rows(data.grid_limit_kw, missing),
-        delta_pu2=_rows(data.delta_pu2, missing),
-        export=data.export and data.export.followed_by_none(missing),
-        drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
-        own_u_pu2=None if data.own_u_pu2 is None else _rows(data.own_u_pu2, missing),
-        flow_max_kva=_followed_by_last(data.flow_max_kva, missing),
-        physics=data.physics and data.physics.followed_by_nothing(missing),
-        phased=data.phased and data.phased.followed_by_rest(missing),
-        parts=data.parts.followed_by_one(missing),
-        ahead=data.ahead.followed_by_none(missing),
-    )
-
-
-def _followed_by_last(values: Floats | None, missing: int) -> Floats | None:
-    """The array with its last row again and again behind it."""
-    return None if values is None else np.concatenate([values, values[-1:].repeat(missing, axis=0)])
-
-
-def _rows(values: Floats, missing: int) -> Floats:
-    """The array with rows of zeros behind it."""
-    return np.concatenate([values, np.zeros((missing, *values.shape[1:]))])

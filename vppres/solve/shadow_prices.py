@@ -122,13 +122,12 @@ def price_window(
     if outcome.status != Status.OPTIMAL:
         return None
     value = model.value_of
-    W = data.n_steps
     return PricedWindow(
         value=outcome.value,
-        served_share=np.clip(value("x_served")[:W], 0.0, 1.0),
+        served_share=np.clip(value("x_served"), 0.0, 1.0),
         curtailed_kwh=float(value("P_curt").sum()) * model.site.dt_h,
-        battery_kw=(value("P_ch") - value("P_dch"))[:W],
-        soc=value("SoC")[: W + 1],
+        battery_kw=value("P_ch") - value("P_dch"),
+        soc=value("SoC"),
         prices=_prices(model),
         solver_s=outcome.solve_s,
     )

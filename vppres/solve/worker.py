@@ -15,13 +15,12 @@ import signal
 import socket
 import sys
 import traceback
-from collections import OrderedDict
-from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from vppres.core.errors import SolveError
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Task
+from vppres.solve.tasks import OUT_OF_MEMORY, Reply, Setup, Task
 
 SOLVERS_KEPT = 8
 """Solvers of the last setups: whole fleet, parts of it, wider voltages, the first tier."""
@@ -30,48 +29,35 @@ _FIRST_VICTIM = "500"
 """Added to what the kernel counts against a process when memory runs out (-1000 to 1000)."""
 
 
-@dataclass
-class Solvers:
-    """Solvers by the keys of their setups; the oldest gives way."""
+@lru_cache(SOLVERS_KEPT)
+def solver_of(setup: Setup) -> WindowSolver:
+    """The solver of a setup."""
+    return setup.make()
 
-    kept: OrderedDict[str, WindowSolver] = field(default_factory=OrderedDict)
 
-    def of(self, task: Task) -> WindowSolver | None:
-        """The solver of a task, None if it has to bring its setup."""
-        solver = self.kept.pop(task.key, None)
-        if solver is None and task.setup is not None:
-            solver = task.setup.make()
-        if solver is not None:
-            self.kept[task.key] = solver
-        while len(self.kept) > SOLVERS_KEPT:
-            self.kept.popitem(last=False)
-        return solver
-
-    def reply(self, task: Task) -> Reply:
-        """Do a task."""
-        try:
-            solver = self.of(task)
-            if solver is None:
-                return Reply(unknown=True)
-            value = getattr(solver, task.method)(*task.args)
-            return Reply(value, compilations=solver.compilations)
-        except MemoryError:
-            raise
-        except Exception as error:
-            error.add_note(f"In the solver's process:\n{traceback.format_exc()}")
-            return Reply(error=_portable(error))
+def done(task: Task) -> Reply:
+    """Do a task."""
+    try:
+        solver = solver_of(task.setup)
+        value = getattr(solver, task.method)(*task.args)
+        return Reply(value, compilations=solver.compilations)
+    except MemoryError:
+        raise
+    except Exception as error:
+        error.add_note(f"In the solver's process:\n{traceback.format_exc()}")
+        return Reply(error=_portable(error))
 
 
 def serve(fd: int, memory_bytes: int) -> None:
     """Do tasks until the other end of the socket is closed."""
     _prepare()
-    channel = Channel(socket.socket(fileno=fd))
+    end = socket.socket(fileno=fd)
+    tasks = end.makefile("rb")
     try:
         _limit_memory(memory_bytes)
-        solvers = Solvers()
-        channel.send(Reply())
+        end.sendall(pickle.dumps(Reply()))
         while True:
-            channel.send(solvers.reply(pickle.loads(channel.receive())))
+            end.sendall(pickle.dumps(done(pickle.load(tasks)), protocol=5))
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
     except (EOFError, OSError):

@@ -22,9 +22,9 @@ from vppres.solve.fleet.recursion import most_units
 from vppres.solve.fleet.relaxation import (
     FleetProblem,
     fleet_problem,
-    weight_grid,
     whole_price,
 )
+from vppres.solve.levels import Relaxation
 from vppres.solve.programs import (
     GAP_SHARE,
     HALF_UNIT,
@@ -48,31 +48,18 @@ ALIKE = 1e-4
 battery of the best efficiencies says too little, and the search begins with every battery."""
 
 
-class Master:
+class Master(Relaxation):
     """The relaxation without the network, with a binary for each customer and step.
 
     ``lumped`` has the fleet as one battery; ``stepwise`` asks for service of one battery first,
     step by step.
-
-    Attributes
-    ----------
-    unit : float
-        Granularity of the weights.
     """
 
-    stage = ""
-    is_last = False
-    searches_cost = True
-
     def __init__(self, task: WindowTask, lumped: bool, stepwise: bool) -> None:
-        self.task = task
-        self.cache = task.cache
-        self.data = task.data
+        super().__init__(task, task.search)
         self.spec = task.spec
-        self.deadline = task.search
         self.lumped = lumped
         self.stepwise = stepwise
-        self.unit = weight_grid(task.site.customers.weight * task.site.dt_h)
         self.best: Flags | None = None
 
     @property
@@ -110,7 +97,7 @@ class Master:
     @cached_property
     def _of_one_battery(self) -> tuple[float, Flags | None]:
         """Most units that one battery carries and a set of so many, if shares of customers say."""
-        site = self.cache.site
+        site = self.site
         problem = fleet_problem(self.cache, self.data, self.lumped, integer=False, goal="service")
         problem.write(self.data, all_connected=True, eased=True)
         outcome = run(problem, self.spec, 0.0, self.deadline.left_s, more=self._options)
@@ -194,6 +181,11 @@ def master_of(task: WindowTask, lumped: bool) -> Master | None:
         task.masters[lumped] = Master(task, lumped, plain and lumped == fleets_of(data)[0])
     master = task.masters[lumped]
     return master if master.applies else None
+
+
+def fleet_master(task: WindowTask) -> Master | None:
+    """The master without the network, with the fleet that is tried first."""
+    return master_of(task, fleets_of(task.data)[0])
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

@@ -5,22 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 from vppres.core.arrays import Flags
 from vppres.model.ratings import has_ratings
 from vppres.solve.certificate import Candidate
-from vppres.solve.deadline import HALF, Deadline
-from vppres.solve.dispatch import (
-    carried,
-    cheapest_by_rows,
-    dispatch_of,
-    tie_breakers,
-)
-from vppres.solve.fleet.masters import Master, fleets_of, master_of
+from vppres.solve.dispatch import carried, dispatch_of, tie_breakers
+from vppres.solve.fleet.masters import fleet_master
 from vppres.solve.fleet.rungs import with_modes_of_batteries
 from vppres.solve.levels import service_then_cost
-from vppres.solve.network.large import master_in_network
+from vppres.solve.network.large import LargeMaster
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT
 from vppres.solve.result import Outcome
@@ -51,7 +43,7 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     before = known.best
     master = master or network_master(task)
     if master is not None:
-        service_then_cost(task, InNetwork(task, master))
+        service_then_cost(master)
     if known.best is before:
         known.keep(dispatch_of(task, best.dispatch.served, fleet=False))
 
@@ -76,7 +68,7 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
         if outcome.status.has_answer:
             known.bound_service(master.unit * outcome.bound)
     if not known.nothing_to_find:
-        service_then_cost(task, InNetwork(task, master))
+        service_then_cost(master)
         use_surplus(task, master)
     return True
 
@@ -98,7 +90,7 @@ def use_surplus(task: WindowTask, master: NetworkMaster) -> None:
     found, known.best = known.best, before
     if found is not None and not found.in_network:
         charges = found.dispatch.charge_kw > found.dispatch.discharge_kw
-        InNetwork(task, master).keep(found.dispatch.served, charges)
+        master.keep(found.dispatch.served, charges)
 
 
 def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
@@ -107,16 +99,11 @@ def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
     return less or not master.carries(served)
 
 
-def fleet_master(task: WindowTask) -> Master | None:
-    """The master without the network, with the fleet that is tried first."""
-    return master_of(task, fleets_of(task.data)[0])
-
-
 def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if task.own or not applies(task.site, task.data):
         return None
-    return master_in_network(task.cache, task.data, task.deadline)
+    return LargeMaster(task) if task.is_large else NetworkMaster(task)
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
@@ -126,60 +113,3 @@ def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
     asked first: where it carries less than the fleet, they need not be.
     """
     return master.unit * (master.most_units + HALF_UNIT) > best.service
-
-
-@dataclass(frozen=True, eq=False)
-class InNetwork:
-    """The relaxation in the network, by its master."""
-
-    task: WindowTask  #: the window
-    master: NetworkMaster  #: its master
-
-    stage = "network_"
-    is_last = True
-
-    @property
-    def unit(self) -> float:
-        """Granularity of the weights."""
-        return self.master.unit
-
-    @property
-    def deadline(self) -> Deadline:
-        """The window's."""
-        return self.task.deadline
-
-    @property
-    def searches_cost(self) -> bool:
-        """Whether a search for a cheaper set is worth its time.
-
-        Rows of phases make nodes slow: a search for a set that is cheaper by a hundredth takes as
-        long as all the rest there, so that one that is certified stays.
-        """
-        slow = self.task.data.phased is not None and self.task.certificate.certified
-        return not (self.task.is_large or slow)
-
-    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units, less what is curtailed with any schedule."""
-        outcome, served = self.master.service(self.task.deadline.part(HALF))
-        lost = self.task.site.weights.lambda_curt * self.master.least_curtailed_kwh
-        return replace(outcome, bound=outcome.bound - lost / self.unit), served
-
-    def least_cost(self, units_min: float, everyone: bool) -> Outcome:
-        """Least cost of shares of customers; the rows of a large network in one piece take long."""
-        fleet = fleet_master(self.task)
-        if self.task.is_large and self.task.data.parts.whole and fleet is not None:
-            return fleet.least_cost(units_min, everyone=False)
-        return self.master.least_cost(units_min)
-
-    def cheaper(
-        self, units_min: float, everyone: bool, best: Candidate, gap_gbp: float, deadline: Deadline
-    ) -> tuple[Outcome, Flags | None]:
-        """Least cost of all sets with so many units, and a set that is cheaper than the best."""
-        known = best.dispatch.served, best.terms.f2
-        return self.master.cheaper(units_min, *known, gap_gbp, deadline)
-
-    def keep(self, served: Flags, charges: Flags | None = None) -> None:
-        """Keep a set's cheapest dispatch, with the tie-breakers if they find one, if it is best."""
-        task, network = self.task, self.master.network
-        found = cheapest_by_rows(task, served, task.answer_by(), charges, network=network)[1]
-        task.certificate.keep(found)

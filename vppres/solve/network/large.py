@@ -15,16 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.data import WindowData
 from vppres.model.parts import at_items
 from vppres.scenario.network import Network
-from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import HALF, Deadline
+from vppres.solve.fleet.masters import fleet_master
 from vppres.solve.network.master import NetworkMaster, SearchState
 from vppres.solve.network.rows import limited
 from vppres.solve.programs import HALF_UNIT, NODES, PROOF, SOLVED, Program, ProgramSolution
-from vppres.solve.result import Status
-from vppres.solve.sizes import is_large
+from vppres.solve.result import Outcome, Status
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
@@ -242,6 +240,15 @@ class ServiceCuts:
 class LargeMaster(NetworkMaster):
     """The master in the network of a large window, whose searches have no rows of the network."""
 
+    searches_cost = False
+
+    def least_cost(self, units_min: float, everyone: bool) -> Outcome:
+        """Least cost without the network, whose rows in one piece take long."""
+        fleet = fleet_master(self.task)
+        if self.data.parts.whole and fleet is not None:
+            return fleet.least_cost(units_min, everyone=False)
+        return super().least_cost(units_min, everyone)
+
     @cached_property
     def alone(self) -> Flags:
         """Customers in parts beside that with the grid's bus, (W * C,)."""
@@ -366,9 +373,3 @@ def _prices_of(program: Program, linear: ProgramSolution) -> Floats:
     """Prices of a program's rows in a solution; limits that were added later had none."""
     prices = linear.row_dual
     return np.pad(prices, (0, len(program.lower) - len(prices)))
-
-
-def master_in_network(cache: ModelCache, data: WindowData, deadline: Deadline) -> NetworkMaster:
-    """The master in the network of a window."""
-    kind = LargeMaster if is_large(cache.site, data.n_steps) else NetworkMaster
-    return kind(cache, data, deadline)

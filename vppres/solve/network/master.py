@@ -14,9 +14,11 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.parts import at_items
 from vppres.model.site import Site
-from vppres.solve.cache import ModelCache
-from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.certificate import Candidate
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
+from vppres.solve.dispatch import cheapest_by_rows
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
+from vppres.solve.levels import Relaxation
 from vppres.solve.network.cheapest import EXACT_DISC
 from vppres.solve.network.program import DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
@@ -35,6 +37,7 @@ from vppres.solve.programs import (
 )
 from vppres.solve.result import Outcome, Status
 from vppres.solve.sizes import is_large
+from vppres.solve.task import WindowTask
 
 DISCS = (DISC, EXACT_DISC)
 """Shares by which a set that is tried may exceed discs, one after the other."""
@@ -90,21 +93,17 @@ class SearchState:
             self.most = units
 
 
-class NetworkMaster:
-    """The master in the network of one window.
+class NetworkMaster(Relaxation):
+    """The relaxation in the network of one window."""
 
-    By the deadline all must be done but for what gets a deadline of its own.
-    """
+    stage = "network_"
+    is_last = True
 
-    def __init__(self, cache: ModelCache, data: WindowData, deadline: Deadline) -> None:
-        self.deadline = deadline
-        self.cache = cache
-        site = cache.site
-        self.site = site
-        self.data = data
-        self.network = NetworkProgram(cache, data)
+    def __init__(self, task: WindowTask) -> None:
+        super().__init__(task, task.deadline)
+        site, data = self.site, self.data
+        self.network = NetworkProgram(self.cache, data)
         self.model = self.network.model
-        self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
         self.units: Floats = np.tile(units, data.n_steps)
         self.pair = 0.0
@@ -146,12 +145,22 @@ class NetworkMaster:
         found = ProgramSolution.of(self.network.loaded(program), self.deadline)
         return max(found.bound, 0.0) if found.status == Status.OPTIMAL else 0.0
 
-    def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
-        """Most service in whole units until a deadline, whatever is curtailed for it.
+    @property
+    def searches_cost(self) -> bool:  # type: ignore[override]
+        """Whether a search for a cheaper set is worth its time.
+
+        Rows of phases make nodes slow: a search for a set that is cheaper by a hundredth takes as
+        long as all the rest there, so that one that is certified stays.
+        """
+        return self.data.phased is None or not self.task.certificate.certified
+
+    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
+        """Most service in whole units, less what is curtailed with any schedule.
 
         Sets are tried, at most as good as the bound says, until one is carried in full.
         """
         watch = Stopwatch()
+        deadline = self.deadline.part(HALF)
         x = self.model.at("x_served")
         root = self.root[1]
         if root.status != Status.OPTIMAL:
@@ -165,7 +174,9 @@ class NetworkMaster:
             status = Status.OPTIMAL
         else:
             status = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
-        outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
+        lost = self.site.weights.lambda_curt * self.least_curtailed_kwh
+        bound = known.bound - lost / self.unit
+        outcome = Outcome(status, known.most, bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
     def _close(self, known: SearchState, deadline: Deadline) -> None:
@@ -290,7 +301,7 @@ class NetworkMaster:
         """Which limits in the network, behind a program's rows, have a price in its solution."""
         return np.flatnonzero(linear.row_dual[len(program.lower) :])
 
-    def least_cost(self, units_min: float) -> Outcome:
+    def least_cost(self, units_min: float, everyone: bool) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP.
 
         Limits that have a price there become known: most of what a search without them finds would
@@ -306,22 +317,17 @@ class NetworkMaster:
         return found.outcome(watch.spent_s)
 
     def cheaper(
-        self,
-        units_min: float,
-        known: Flags,
-        known_gbp: float,
-        gap_gbp: float,
-        deadline: Deadline,
+        self, units_min: float, everyone: bool, best: Candidate, gap_gbp: float, deadline: Deadline
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units, to a gap or until a deadline.
 
-        ``known`` is a set of a known cost.
         The search has the limits of the network that are known; whatever it finds is put into all
-        of them, which adds some. The set in the answer is cheaper than the known cost.
+        of them, which adds some. The set in the answer is cheaper than the best.
         """
         watch = Stopwatch()
         x = self.model.at("x_served")
-        best = None
+        known_gbp = best.terms.f2
+        cheapest = None
         size = -1
         bound = -np.inf
         program = self._enough(units_min)
@@ -329,7 +335,7 @@ class NetworkMaster:
             size = self.network.limits
             counted = self._counted(program, self.network.found)
             solver = counted.loaded(0.5 * gap_gbp, NODES, more=self._options)
-            begin_with(solver, x, known if best is None else best)
+            begin_with(solver, x, best.dispatch.served if cheapest is None else cheapest)
             found = ProgramSolution.of(solver, deadline)
             if np.isfinite(found.bound):
                 bound = max(bound, found.bound)
@@ -341,12 +347,18 @@ class NetworkMaster:
             )
             if carried.status == Status.OPTIMAL and carried.value < known_gbp:
                 known_gbp = carried.value
-                best = served > 0.5
+                cheapest = served > 0.5
             if carried.status == Status.OPTIMAL and found.status != Status.OPTIMAL:
                 break  # another search would not end either
         ended = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
         status = Status.OPTIMAL if known_gbp - bound <= gap_gbp else ended
-        return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), best
+        return Outcome(status, known_gbp, bound, watch.spent_s, DIRECT), cheapest
+
+    def keep(self, served: Flags, charges: Flags | None = None) -> None:
+        """Keep a set's cheapest dispatch, with the tie-breakers if they find one, if it is best."""
+        answer_by, network = self.task.answer_by(), self.network
+        found = cheapest_by_rows(self.task, served, answer_by, charges, network=network)[1]
+        self.task.certificate.keep(found)
 
     def _enough(self, units_min: float) -> Program:
         """Least cost of so many units, rounded up to a whole number."""
