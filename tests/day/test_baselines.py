@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,3 +110,23 @@ def test_perfect_information_is_the_best(tiny: Scenario) -> None:
 ])  # fmt: skip
 def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:
     assert refusal(ReserveRule, **rule) == text
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({}, []),
+    ({"reserve.soc": 0.5, "reserve.notice_h": 2.0, "horizon_h": 1.0}, [
+        "--reserve-soc 0.5 has no effect: the controller is idle, and it is for reserve.",
+        "--notice 2.0 has no effect: the controller is idle, and it is for reserve.",
+        "--horizon 1.0 has no effect: the controller is idle, and it is for mpc."]),
+    ({"pv_check": "literal"}, ["pv_check literal has no effect: the controller is idle, and it is "
+        "for full-horizon and perfect."]),
+    ({"turn_h": 2.0}, ["--turn-h 2.0 has no effect: there is no rotation."]),
+    ({"controller": "reserve", "reserve.soc": 0.5, "reserve.notice_h": 2.0}, []),
+    ({"controller": "mpc", "horizon_h": 1.0, "rotation": 0.5, "turn_h": 2.0}, []),
+])  # fmt: skip
+def test_an_option_without_effect_is_named(
+    tiny: Scenario, given: dict[str, Any], words: list[str]
+) -> None:
+    options = RunOptions(controller="idle").having(given)
+    found = summarise(run_day(tiny, options))["cautions"]
+    assert sorted(w for w in found if "no effect" in w) == sorted(words)

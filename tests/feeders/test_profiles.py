@@ -77,6 +77,37 @@ WAYS: dict[str, Callable[[Path], Any]] = {
 }
 
 
+HALVES = pd.date_range("2025-07-01T00:00Z", periods=48, freq="30min")
+LEVELS = np.tile([1.0, 3.0], 24) + np.repeat(RISING, 2)
+
+
+@pytest.mark.parametrize(("column", "per_kwh"), [
+    ("bakery_kWh", 1.0), ("bakery [Wh]", 1000.0), ("bakery_mwh", 0.001), ("bakery", 1.0),
+])  # fmt: skip
+def test_energy_of_half_hours_becomes_mean_power(
+    column: str, per_kwh: float, feeder: ImportedFeeder, tmp_path: Path
+) -> None:
+    """1 and 3 kWh in the halves of an hour are 4 kW over it."""
+    prices = {"price_gbp_per_kwh": 0.3}
+    frame = pd.DataFrame({"time": HALVES, column: LEVELS * per_kwh, **prices})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    given = options(tmp_path, profile_unit=None if column != "bakery" else "kwh")
+    day = new_scenario(feeder, given)
+    assert day.load_kw[:, 0] == pytest.approx(4.0 + 2.0 * RISING)
+    assert day.price_gbp_per_kwh == pytest.approx(0.3)
+    note = "Energy from each time to the next, 30 min later, became mean power: bakery."
+    assert note in assumptions(feeder, given)
+
+
+def test_a_register_of_energy_is_refused(feeder: ImportedFeeder, tmp_path: Path) -> None:
+    frame = pd.DataFrame({"time": HALVES, "bakery_kwh": np.cumsum(LEVELS)})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    assert refusal(new_scenario, feeder, options(tmp_path)) == (
+        "a.csv, column = bakery_kwh: is energy that never falls. It is a meter's register: give "
+        "the energy of each interval."
+    )
+
+
 @pytest.mark.parametrize("way", WAYS.values(), ids=list(WAYS))
 def test_every_way_says_the_same(way: Any, feeder: ImportedFeeder, tmp_path: Path) -> None:
     way(tmp_path)
@@ -148,8 +179,8 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
 
 @pytest.mark.parametrize(("columns", "message"), [
     ({"bakery": RISING},
-        "a.csv: does not say the unit of bakery. End the column's or the file's name in _kw, _mw "
-        "or _pu, or give --profile-unit."),
+        "a.csv: does not say the unit of bakery. End the column's or the file's name in _kw, _mw, "
+        "_pu or, for energy, in _kwh, or give --profile-unit."),
     ({"bakry_kw": RISING},
         "a.csv, column = bakry_kw: is neither an asset of the scenario nor an element of the network. Did "
         "you mean bakery?"),
@@ -159,9 +190,10 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
     ({"roof_kw": [-0.02, *RISING[1:]]},
         "a.csv, system = pv2: falls to -0.02 kW at 2025-07-01T00:00:00Z. Generation counts from 0: "
         "write 0 where the system draws power."),
-    ({"bakery_kWh": RISING},
-        "a.csv, column = bakery_kWh: is in kWh, and series are power in kW, MW or pu. Convert it, "
-        "and end the column's or the file's name in _kw, _mw or _pu."),
+    ({"bakery_kvar": RISING},
+        "a.csv, column = bakery_kvar: is in kvar, and series are power in kW, MW or pu, or energy "
+        "in kWh. Convert it. End the column's or the file's name in _kw, _mw, _pu or, for energy, "
+        "in _kwh."),
     ({"roof_mw": RISING},
         "a.csv, system = pv2: reaches 2.3e+04 kW at 2025-07-01T23:00:00Z, and its largest power is 40 kW. Correct the "
         "unit of the series, or the power in the network."),

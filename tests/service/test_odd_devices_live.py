@@ -198,3 +198,41 @@ def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
         assert all(one["served"] for one in plan["setpoints"] if one["kind"] == "customers")
         left = http.get("/v1/alarms").json()["alarms"]
         assert all(one["cleared_at"] for one in left if one["kind"] == "setpoint_rejected")
+
+
+def test_a_customer_that_rejects_to_be_dimmed_is_not_dimmed_until_it_is_back(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """One battery of 30 kW in an island; the shop takes 40 kW and may have a quarter of it."""
+    day = site(tiny)
+    c = day.customers
+    share_min = np.where(c.id == "shop", 0.25, 1.0)
+    load_kw = np.tile([0.0, 40.0, 5.0], (len(day.load_kw), 1))
+    day = replace(
+        day, customers=replace(c, share_min=share_min), load_kw=load_kw, pv_kw=0.0 * day.pv_kw
+    )
+    now = replace(HERE, horizon_h=0.0)
+    clock = SetClock(NOON)
+
+    def shop(http: Any, hours: int, **online: float) -> tuple[Any, list[str]]:
+        time = NOON + hours * HOUR
+        clock.set(time)
+        series = readings(time, "soc", {"big": 0.0, "small": 0.9})
+        series += readings(time, "grid_on", {"grid": 0.0})
+        series += readings(time, "online", {**online, "big": 0.0})
+        assert not http.post("/v1/telemetry", {"series": series}).json().get("refused")
+        plan = decided(http, clock, time)
+        return next(o for o in plan["setpoints"] if o["asset"] == "shop"), plan["estimated"]
+
+    with client(Service(day, now), tmp_path, clock) as http:
+        point, _ = shop(http, 0)
+        assert point["served"] and 0.25 <= point["share"] < 1.0
+        no = {"status": "rejected", "reason": "no relay"}
+        assert http.post(f"/v1/setpoints/{point['id']}/status", no).status == 200
+    with client(Service(day, now), tmp_path, clock) as http:
+        point, estimated = shop(http, 1)
+        assert not point["served"], "40 kW are more than 30"
+        assert "shop cannot be dimmed (rejected: no relay)" in estimated
+        point, estimated = shop(http, 2, shop=1.0)
+        assert point["served"] and point["share"] < 1.0
+        assert not [words for words in estimated if "dimmed" in words]

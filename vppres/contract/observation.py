@@ -95,6 +95,8 @@ class Observation:
     #: Lines and ties that are closed, (E,), where switches may have been moved by others; as the
     #: controller left them if not given.
     closed: Flags | None = None
+    #: Customers that cannot be dimmed in the window, (C,); none if not given.
+    whole: Flags | None = None
     #: Time in s that a plan of it may take, where that is less than the limit of a window.
     within_s: float = inf
 

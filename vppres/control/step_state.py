@@ -52,6 +52,7 @@ class StepState:
     dark: bool = False
     #: Parts into which lines that are out cut the feeder, one step.
     parts: Parts = field(kw_only=True)
+    whole: Flags | None = None  #: customers that cannot be dimmed, (C,); none if not given
     due: Flags = field(kw_only=True)  #: customers whose longest time off has ended, (C,)
     inside: Flags | None = None  #: buses of the part that it is the step of; all if not given, (N,)
     #: Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
@@ -93,6 +94,7 @@ class StepState:
             own_v_pu,
             now.ahead,
             parts=parts,
+            whole=seen.whole,
             due=seen.switching.due,
         )
 

@@ -19,6 +19,7 @@ from vppres.day.phase_figures import phase_figures
 from vppres.day.recorder import OFF_BY_FAULT
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
+from vppres.day.unused import without_effect
 from vppres.io.digest import scenario_digest
 from vppres.kinds.customer import record as customer
 from vppres.plant.plant import NOBODY
@@ -100,6 +101,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
         *unknown_phases(trajectory.scenario),
         *inversion_words(trajectory),
         *headroom_words(trajectory),
+        *without_effect(trajectory),
     ]
 
 

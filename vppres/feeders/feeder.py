@@ -83,7 +83,9 @@ class Profile:
     name: str  #: the element or asset, as the source names it
     #: Indexed by times in UTC; by the number of the row where the source has no times.
     values: pd.Series[float]
-    unit: str = ""  #: ``kw``, ``mw``, ``pu`` of the element's power, or empty where nothing says
+    #: ``kw``, ``mw``, ``pu`` of the element's power; of energy until the next value ``wh``, ``kwh``
+    #: or ``mwh``; empty where nothing says.
+    unit: str = ""
     factor: float = 1.0  #: what the values are multiplied by, before the unit
     column: str = ""  #: column of the file; empty where the name stands in rows
 

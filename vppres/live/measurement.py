@@ -66,6 +66,9 @@ class Measurement(ReadOfKinds):
     connected : mapping or Series of bool, optional
         Whether each customer can be supplied at all; all that are not named can. Who cannot takes
         nothing in the whole window, and is not served.
+    dimmable : mapping or Series of bool, optional
+        Whether each customer that the scenario dims can be dimmed now; all that are not named can.
+        Who cannot gets all of its demand in the window or nothing.
     closed : mapping or Series of bool, optional
         Whether each switch is closed, by identifier; where not given as at the last decision, as in
         the scenario before the first. Plans are of the feeder in this configuration; a switch that
@@ -138,6 +141,7 @@ class Measurement(ReadOfKinds):
     online: Switches | None = None
     import_kw: float | None = None
     connected: Switches | None = None
+    dimmable: Switches | None = None
     closed: Switches | None = None
     announced_limit_kw: pd.Series | None = None
     foretold: Mapping[str, Sequence[str]] | None = None
@@ -164,6 +168,7 @@ class Seen:
     online: Flags
     import_kw: float | None
     connected: Flags
+    dimmable: Flags
     closed: dict[str, bool]  #: states of switches, as far as they were read
     #: Largest import while there is grid, as far as it was announced, (T,); NaN elsewhere.
     announced_kw: Floats
@@ -271,6 +276,7 @@ def _measurement_arrays(
     of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
+    dimmable = door.flags("dimmable", measured.dimmable, c.id)
     closed = _states(door, measured.closed, scenario.switches.id)
     unknown = np.full(scenario.grid.n_steps, np.nan)
     announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
@@ -306,6 +312,7 @@ def _measurement_arrays(
         **of_batteries,
         import_kw=import_kw,
         connected=connected,
+        dimmable=dimmable,
         closed=closed,
         announced_kw=announced,
         foretold_load=_is_named(c.id, foretold.get("load_kw", ())),

@@ -164,6 +164,7 @@ class Present:
             flexible_kw=None if self.past.t < 0 else sum((k.taken_kw for k in kinds), 0.0),
             flexible_off_kw=sum((k.taken_off_kw for k in kinds), 0.0),
             closed=self.closed,
+            whole=None if seen.dimmable.all() else ~seen.dimmable,
         )
 
     def _ahead(self) -> KindsAhead:

@@ -116,6 +116,8 @@ class WindowData:
     #: Largest flow of each line, (W, L); None, the paper, has no ratings.
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None  #: voltages and former by phase; None for a balanced feeder
+    #: Customers that cannot be dimmed, (C,); None where all that the site dims can be.
+    whole: Flags | None = None
     owed: Owed = field(kw_only=True)  #: what dimmed customers may catch up from before the window
     parts: Parts = field(kw_only=True)  #: parts into which lines that are out cut the feeder
     #: What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
@@ -161,6 +163,7 @@ class WindowData:
             ends=observation.ends and observation.stored_value is None,
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
+            whole=observation.whole,
             owed=observation.owed,
             ahead=observation.ahead.part(slice(n_steps)),
             parts=parts,

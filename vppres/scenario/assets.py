@@ -118,6 +118,10 @@ class Customers(Items):
         """Least share of its demand with which each may be supplied, (C,)."""
         return self.share_min if len(self.share_min) else np.ones(len(self))
 
+    def least_share_but(self, whole: Flags | None) -> Floats:
+        """The least shares where some customers cannot be dimmed now, (C,); none if not given."""
+        return self.least_share if whole is None else np.where(whole, 1.0, self.least_share)
+
     @property
     def dimmable(self) -> Flags:
         """Customers that may be supplied with a part of their demand, (C,)."""

@@ -110,6 +110,7 @@ class Option:
     command_line: bool = True  #: whether ``run`` and ``sweep`` have it; Python always has
     sweep: bool = True  #: whether a sweep can vary it
     live: bool = True  #: whether it has a meaning for a live controller, whose plant is the site
+    acts_with: str = ""  #: option without which it has no effect, and values of that one
     usual: bool = False  #: whether ``--help`` shows it; ``--help-all`` shows all
 
     @property
@@ -147,7 +148,8 @@ def _option(row: dict[str, str]) -> Option:
     """The option that a row of a table states; a column that the table has not is empty."""
     kind = _KINDS[row["type"]]
     flags = row.get("flags", "").split()
-    texts = ("name", "field", "meaning", "words", "page", "unit", "unset", "group", "scenario_key")
+    texts = ("name", "field", "meaning", "words", "page", "unit", "unset", "group")
+    texts_of_runs = ("scenario_key", "acts_with")
     return Option(
         kind=kind,
         default=_default(kind, row["default"]),
@@ -160,7 +162,7 @@ def _option(row: dict[str, str]) -> Option:
         sweep="unswept" not in flags,
         live="simulated" not in flags,
         usual="usual" in flags,
-        **{name: row.get(name, "") for name in texts},
+        **{name: row.get(name, "") for name in (*texts, *texts_of_runs)},
     )
 
 

@@ -105,7 +105,7 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
 
 def _service(row: PlannedStep, state: StepState) -> str:
     c = state.site.customers
-    partly = np.maximum(c.least_share - row.served, row.served - c.most_share)
+    partly = np.maximum(c.least_share_but(state.whole) - row.served, row.served - c.most_share)
     partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 

@@ -19,7 +19,7 @@ from vppres.scenario.option_table import NEW_OPTIONS, NumberRange
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 PVRule = Literal["existing", "sized", "none"]
-ProfileUnit = Literal["kw", "mw", "pu"]
+ProfileUnit = Literal["kw", "mw", "pu", "wh", "kwh", "mwh"]
 Outage = tuple[pd.Timestamp, pd.Timestamp]
 
 FIRST_DAY = pd.Timestamp("2025-07-01T00:00:00Z")
@@ -116,7 +116,8 @@ class NewScenarioOptions:
         A folder or file of series, or ``source`` for those that come with the network; without it
         load and PV follow one bundled day.
     profile_unit : str, optional
-        ``kw``, ``mw`` or ``pu``, for series whose columns and files do not say.
+        ``kw``, ``mw``, ``pu``, ``wh``, ``kwh`` or ``mwh``, for series whose columns and files do
+        not say.
     profile_step_minutes : float, optional
         Length of a row of series without times; the first row begins with the scenario.
     max_gap_minutes : float

@@ -16,10 +16,11 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import NewAssets, generator_table
 from vppres.feeders.new.gensets import taken
 from vppres.feeders.series.clocks import in_utc
-from vppres.feeders.series.files import other_unit, units_missing
+from vppres.feeders.series.files import UNITS_CURE, other_unit, units_missing
 from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
+from vppres.io.times import usual_step
 from vppres.scenario.network import BusId
 from vppres.scenario.timegrid import TimeGrid
 
@@ -27,6 +28,10 @@ OF_SYSTEM = ("price_gbp_per_kwh", "temperature_c")
 """Series of the feeder as a whole, by the names of ``system.csv``; they have no unit."""
 
 _KW = {"kw": 1.0, "mw": 1000.0}
+_KWH = {"wh": 0.001, "kwh": 1.0, "mwh": 1000.0}
+
+_REGISTER_VALUES = 48
+"""Values from which energy that never falls is a meter's register, and no energy of intervals."""
 
 
 def timed(
@@ -111,6 +116,7 @@ def place_profiles(
     without_unit: list[Profile] = []
     placed: dict[tuple[str, int], Floats] = {}
     gaps: list[str] = []
+    as_energy: list[Profile] = []
     system: dict[str, Floats] = {}
     unused: dict[str, list[str]] = {}
     for profile in profiles:
@@ -129,6 +135,7 @@ def place_profiles(
             problems.append(values)
             continue
         gaps += _told_gap(profile, values)
+        as_energy += [profile] if profile.unit in _KWH and target.kind != "system series" else []
         key = (target.kind, target.at)
         if target.kind == "system series":
             system[profile.name] = values.values
@@ -136,6 +143,9 @@ def place_profiles(
             problems.append(
                 _problem(profile, "has a series already", "Keep one series for each element.")
             )
+        elif profile.unit in _KWH and _is_register(profile):
+            cure = "It is a meter's register: give the energy of each interval."
+            problems.append(_problem(profile, "is energy that never falls", cure))
         else:
             placed[key] = profile.factor * _scale(profile, target) * values.values
     problems += units_missing(without_unit)
@@ -151,6 +161,7 @@ def place_profiles(
         raise InputError(folded(problems))
     notes = [
         _told_origin(profiles),
+        *_told_energy(as_energy),
         *(f"{_UNUSED[kind]}: {named(names)}." for kind, names in unused.items()),
         *load_notes,
         *pv_notes,
@@ -233,14 +244,28 @@ class _Sorter:
             message = "is neither an asset of the scenario nor an element of the network"
             cure = self.suggestions.cure(profile.name)
         if not found and (unit := other_unit(profile.name)):
-            message = f"is in {unit}, and series are power in kW, MW or pu"
-            cure = "Convert it, and end the column's or the file's name in _kw, _mw or _pu."
+            message = f"is in {unit}, and series are power in kW, MW or pu, or energy in kWh"
+            cure = f"Convert it. {UNITS_CURE}."
         return None, [_problem(profile, message, cure)]
 
 
 def _scale(profile: Profile, target: _Target) -> float:
     """KW for a value of the series."""
+    if profile.unit in _KWH:
+        return _KWH[profile.unit] / _interval_h(profile)
     return _KW.get(profile.unit, target.rating_kw)
+
+
+def _interval_h(profile: Profile) -> float:
+    """Time between two values of a series in h."""
+    return usual_step(pd.DatetimeIndex(profile.values.index)) / pd.Timedelta(hours=1)
+
+
+def _is_register(profile: Profile) -> bool:
+    """Whether energy is what a meter has counted so far."""
+    counted = profile.values.dropna().to_numpy(float)
+    rises = np.diff(counted)
+    return len(counted) >= _REGISTER_VALUES and bool((rises >= 0.0).all() and rises.any())
 
 
 def _problem(profile: Profile, message: str, cure: str) -> Problem:
@@ -316,6 +341,18 @@ def _invented(names: list[str], count: int, what: str) -> str:
 def _told_origin(profiles: list[Profile]) -> str:
     files = list(dict.fromkeys(profile.where for profile in profiles))
     return f"{len(profiles)} series from {named(files)}; reactive power follows power factors."
+
+
+def _told_energy(profiles: list[Profile]) -> Iterator[str]:
+    """How energy became power, by the length of the intervals."""
+    names: dict[float, list[str]] = {}
+    for profile in profiles:
+        names.setdefault(_interval_h(profile), []).append(profile.name)
+    for hours, of_them in names.items():
+        yield (
+            f"Energy from each time to the next, {60.0 * hours:g} min later, became mean power: "
+            f"{named(of_them)}."
+        )
 
 
 def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:

@@ -19,16 +19,17 @@ SUFFIXES = (".csv", ".parquet")
 TIMES = ("time", "timestamp", "datetime")
 IDS = ("id", "asset", "name", "element")
 VALUES = ("value", "p", "power")
-_UNIT = re.compile(r"(?:_|\s*\[|\s*\(|\s+)(kw|mw|pu|p\.u\.)[\])]?$", re.IGNORECASE)
-_OTHER_UNIT = re.compile(
-    r"(?<!_per)(?:_|\s*\[|\s*\(|\s+)(w|wh|kwh|mwh|gw|kva|mva|kvar|mvar)[\])]?$", re.IGNORECASE
-)
-_PLAIN = re.compile(r"(kw|mw|pu|p\.u\.)", re.IGNORECASE)
+_BEFORE = r"(?<!_per)(?:_|\s*\[|\s*\(|\s+)"  # 0.3 GBP/kWh is no energy
+_OF_SERIES = r"(kw|mw|pu|p\.u\.|wh|kwh|mwh)"
+_UNIT = re.compile(_BEFORE + _OF_SERIES + r"[\])]?$", re.IGNORECASE)
+_OTHER_UNIT = re.compile(_BEFORE + r"(w|gw|kva|mva|kvar|mvar)[\])]?$", re.IGNORECASE)
+_PLAIN = re.compile(_OF_SERIES, re.IGNORECASE)
+UNITS_CURE = "End the column's or the file's name in _kw, _mw, _pu or, for energy, in _kwh"
 
 
 @dataclass(frozen=True)
 class FileDefaults:
-    """Zone of times without offset, and unit (``kw``, ``mw`` or ``pu``), of files that say none."""
+    """Zone of times without offset, and unit such as ``kw``, of files that say none."""
 
     zone: str | None = None
     unit: str | None = None
@@ -165,8 +166,8 @@ def _numbers(table: Table, column: str) -> tuple[np.ndarray, list[Problem]]:
 def _named(text: str) -> tuple[str, str]:
     """A name without its unit, and the unit.
 
-    >>> _named("load 3_mw"), _named("pv18 [kW]"), _named("c18")
-    (('load 3', 'mw'), ('pv18', 'kw'), ('c18', ''))
+    >>> _named("load 3_mw"), _named("pv18 [kWh]"), _named("price_gbp_per_kwh")
+    (('load 3', 'mw'), ('pv18', 'kwh'), ('price_gbp_per_kwh', ''))
     """
     found = _UNIT.search(text)
     if found is None or found.start() == 0:
@@ -177,8 +178,8 @@ def _named(text: str) -> tuple[str, str]:
 def other_unit(name: str) -> str:
     """A unit that series cannot have at the end of a name without one that they can.
 
-    >>> other_unit("c18_kWh"), other_unit("c18 [W]"), other_unit("south")
-    ('kWh', 'W', '')
+    >>> other_unit("c18_kvar"), other_unit("c18 [W]"), other_unit("south")
+    ('kvar', 'W', '')
     """
     found = _OTHER_UNIT.search(name)
     return found.group(1) if found else ""
@@ -205,5 +206,5 @@ def units_missing(profiles: list[Profile]) -> Iterator[Problem]:
         yield Problem(
             where,
             f"does not say the unit of {names[0]}{more}",
-            "End the column's or the file's name in _kw, _mw or _pu, or give --profile-unit.",
+            f"{UNITS_CURE}, or give --profile-unit.",
         )

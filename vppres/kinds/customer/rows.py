@@ -277,6 +277,7 @@ class DimmedDemand(Addition):
     customer: Wholes  #: their positions, (n,)
     dimmed: cp.Variable  #: share of the demand that each does not get although it is served, (W, n)
     P_whole: cp.Parameter  #: their demand, (W, n)
+    most: cp.Parameter  #: the largest share of it that each may lack, (W, n)
     steps: tuple[int, ...]  #: steps in which each of the m catches up
     catching: sp.csr_array  #: places the m among the n, (m, n)
     caught_up: cp.Variable  #: share of its demand that each takes besides, (W, m)
@@ -284,7 +285,7 @@ class DimmedDemand(Addition):
     #: both would make new of what has lapsed.
     catches: cp.Variable
     P_owed: cp.Variable  #: what each may catch up in a step, as power, (W, m)
-    P_valid: cp.Parameter  #: the same of what it lacks from before the window, (W, m)
+    P_valid: cp.Parameter  #: what it may catch up of what it lacks from before the window, (W, m)
     #: 1 for a step with a limit of import, (W, m): only there is it dimmed to catch up.
     limited: cp.Parameter
 
@@ -308,6 +309,7 @@ class DimmedDemand(Addition):
             customer,
             cp.Variable((W, len(customer)), name="dimmed", bounds=[0, 1]),
             cp.Parameter((W, len(customer)), name="P_whole", nonneg=True),
+            cp.Parameter((W, len(customer)), name="most_dimmed", nonneg=True),
             steps,
             sp.csr_array(np.eye(len(shape))[np.array(shape) > 0]),
             cp.Variable((W, len(steps)), name="caught_up", bounds=[0, MOST_SHARE - 1.0]),
@@ -330,8 +332,7 @@ class DimmedDemand(Addition):
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """No more than leaves the least share, and nothing of a customer that is off."""
-        most = 1.0 - site.customers.least_share[self.customer]
-        within = cp.multiply(most[None, :], v.x_served[:, self.customer])
+        within = cp.multiply(self.most, v.x_served[:, self.customer])
         dimmed: Named = {"dimmed_within_service": self.dimmed <= within}
         return dimmed | (self._recovery(v) if self.steps else {})
 
@@ -363,12 +364,18 @@ class DimmedDemand(Addition):
         return {"own": -self.site.dt_h * cp.sum(self.missing @ weight)}
 
     def fill(self, site: Site, data: WindowData) -> None:
-        """Write the demand."""
+        """Write the demand, and what of it may be dimmed.
+
+        Who cannot be dimmed now catches nothing up: it gets its demand.
+        """
         write(self.P_whole, data.load_kw[:, self.customer])
+        most = 1.0 - site.customers.least_share_but(data.whole)[self.customer]
+        write(self.most, np.tile(most, (data.n_steps, 1)))
         if self.steps:
             limited = np.isfinite(data.grid_limit_kw).astype(float)
             write(self.limited, np.tile(limited[:, None], len(self.steps)))
-            write(self.P_valid, data.owed.valid(data.n_steps)[:, self.customer] @ self.catching.T)
+            owed_kw = data.owed.valid(data.n_steps)[:, self.customer] * (most > 0.0)
+            write(self.P_valid, owed_kw @ self.catching.T)
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:

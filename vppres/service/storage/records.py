@@ -49,6 +49,11 @@ def asks(setpoint: Mapping[str, Any]) -> bool:
     return bool(setpoint["kind"] == "batteries" or setpoint.get("running"))
 
 
+def dims(setpoint: Mapping[str, Any]) -> bool:
+    """Whether a customer is to get another share of its demand than all or nothing."""
+    return setpoint["kind"] == "customers" and setpoint.get("share", 1.0) not in (0.0, 1.0)
+
+
 @dataclass(frozen=True)
 class Reading:
     """One reading; ``value`` is NaN where it is known to be missing."""
@@ -97,7 +102,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Lost:
-    """Since when a customer cannot be supplied, and why."""
+    """Since when a customer cannot be supplied, or dimmed, and why."""
 
     at: int
     reason: str

@@ -18,7 +18,6 @@ from vppres.service.storage.tables import (
     AUDIT,
     EVENTS,
     HEARD_OF,
-    LOST,
     MEASURED,
     OUTCOMES,
     TELEMETRY,
@@ -99,12 +98,14 @@ def put_measured(db: sa.Connection, rows: Iterable[Measured]) -> None:
         put(db, MEASURED, time=row.time, load_kw=load_kw, pv_kw=pv_kw)
 
 
-def note_lost(db: sa.Connection, asset: str, said: Mapping[str, Any], at: int) -> None:
-    """A customer that could not be switched on, or was after all."""
+def note_refusal(
+    db: sa.Connection, table: sa.Table, asset: str, said: Mapping[str, Any], at: int
+) -> None:
+    """A customer that could not be switched on, or dimmed, or was after all."""
     if said["status"] not in REFUSED:
-        db.execute(LOST.delete().where(LOST.c.asset == asset))
+        db.execute(table.delete().where(table.c.asset == asset))
         return
-    put(db, LOST, asset=asset, at=at, reason=why_refused(said))
+    put(db, table, asset=asset, at=at, reason=why_refused(said))
 
 
 def why_refused(said: Mapping[str, Any]) -> str:

@@ -33,6 +33,7 @@ from vppres.service.storage.records import (
     UnknownError,
     Written,
     asks,
+    dims,
     moment,
     seconds,
     versions,
@@ -45,7 +46,7 @@ from vppres.service.storage.statements import (
     count_steps,
     last_readings,
     note,
-    note_lost,
+    note_refusal,
     put,
     put_alarm,
     put_event,
@@ -71,6 +72,7 @@ from vppres.service.storage.tables import (
     TABLES,
     TELEMETRY,
     TOKENS,
+    UNDIMMED,
 )
 
 LAYOUT = "1"
@@ -390,11 +392,17 @@ class Store:
                 db.execute(ACKS.insert().values(**row, **said))
                 # One that is on, dimmed, can be supplied; one that rejects to be dimmed too.
                 if asks(setpoint) or (setpoint.get("served") and said["status"] not in REFUSED):
-                    note_lost(db, setpoint["asset"], said, seconds(now))
+                    note_refusal(db, LOST, setpoint["asset"], said, seconds(now))
+                if dims(setpoint):
+                    note_refusal(db, UNDIMMED, setpoint["asset"], said, seconds(now))
 
     def lost(self) -> dict[str, Lost]:
         """Customers whose device did not switch them on when it was last told to."""
         return {row.asset: Lost(row.at, row.reason) for row in self._rows(sa.select(LOST))}
+
+    def undimmed(self) -> dict[str, Lost]:
+        """Customers whose device did not dim them when it was last told to."""
+        return {row.asset: Lost(row.at, row.reason) for row in self._rows(sa.select(UNDIMMED))}
 
     def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Last status of each set-point that has one."""

@@ -68,6 +68,9 @@ ACKS = _table(
     _filled("reason"),
 )
 LOST = _table("lost_customers", _key("asset"), _filled("at", sa.BigInteger), _filled("reason"))
+UNDIMMED = _table(
+    "undimmed_customers", _key("asset"), _filled("at", sa.BigInteger), _filled("reason")
+)
 ALARMS = _table(
     "alarms",
     _key("number", sa.Integer),

@@ -43,7 +43,7 @@ from vppres.service.storage.records import DECIDED, Event, Reading, moment, seco
 from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.grid_readings import EARLY_SHARE, contradiction, stands_alone
-from vppres.service.telemetry.lost import lost_customers
+from vppres.service.telemetry.lost import lost_customers, undimmed_customers
 from vppres.service.telemetry.phased_readings import stored, sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
 from vppres.service.window import CAUTIOUS, Window
@@ -262,6 +262,7 @@ def known_at(
     stored = Stored(scenario, time, readings, means, said.decided_at, said.plans, at, store)
     soc = soc_of(readings.newest("soc"))
     lost = lost_customers(scenario, readings.found, store)
+    undimmed = undimmed_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
     of_kinds = {n: read for kind in every().values() for n, read in kind.readings(stored).items()}
     measurement = Measurement(
@@ -274,6 +275,7 @@ def known_at(
         **_of_batteries(scenario, readings, means.get("battery_kw", {}), store),
         import_kw=means.get("import_kw", {}).get(GRID) if said.by_controller else None,
         connected=dict.fromkeys(lost, False),
+        dimmable=dict.fromkeys(undimmed, False),
         closed=states_of(scenario, store, at),
         announced_limit_kw=None
         if announced is None
@@ -288,7 +290,8 @@ def known_at(
             if name in HELD and values
         },
     )
-    estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
+    whole = [f"{name} cannot be dimmed ({why})" for name, why in undimmed.items()]
+    estimated = [*load.estimated, *pv.estimated, *whole, *([doubt] if doubt else [])]
     again = ""
     if grid.known_by == "reading" and not grid.available:
         zero = readings.last.get((GRID, "grid_on"))

@@ -1,16 +1,16 @@
-"""Customers that cannot be supplied: protection opened, or a device fails.
+"""Customers that cannot be supplied, or dimmed: protection opened, or a device fails.
 
-It was reported: a device that did not switch one on, or telemetry that it is not ``online``. That
-stands, however old it is, until it is reported back: ``online`` again, or its device did what it
-was reported after all.
+It was reported: a device that did not switch one on, or did not dim it, or telemetry that it is not
+``online``. That stands, however old it is, until it is reported back: ``online`` again, or its
+device did what it was reported after all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from vppres.scenario.scenario import Scenario
-from vppres.service.storage.records import Reading
+from vppres.service.storage.records import Lost, Reading
 from vppres.service.storage.store import Store
 
 ONLINE = "online"
@@ -19,16 +19,33 @@ DISCONNECTED = "reported as not connected"
 
 def lost_customers(scenario: Scenario, latest: Iterable[Reading], store: Store) -> dict[str, str]:
     """Customers that cannot be supplied, with reasons."""
-    ids = {str(name) for name in scenario.customers.id}
-    online = {
-        one.asset: one
-        for one in latest
-        if one.quantity == ONLINE and one.asset in ids and one.known
-    }
+    online = _online(scenario, latest)
     found = {name: DISCONNECTED for name, one in online.items() if one.value == 0.0}
-    for name, lost in store.lost().items():
-        back = online.get(name)
-        later = back and back.value != 0.0 and back.time > lost.at
-        if name in ids and not later:
-            found.setdefault(name, lost.reason)
-    return found
+    return _standing(store.lost(), scenario, online) | found
+
+
+def undimmed_customers(
+    scenario: Scenario, latest: Iterable[Reading], store: Store
+) -> dict[str, str]:
+    """Customers that cannot be dimmed, with reasons."""
+    return _standing(store.undimmed(), scenario, _online(scenario, latest))
+
+
+def _online(scenario: Scenario, latest: Iterable[Reading]) -> dict[str, Reading]:
+    """The last reading of each customer that says whether it is connected."""
+    ids = {str(name) for name in scenario.customers.id}
+    said = (one for one in latest if one.quantity == ONLINE and one.known)
+    return {one.asset: one for one in said if one.asset in ids}
+
+
+def _standing(
+    refusals: Mapping[str, Lost], scenario: Scenario, online: Mapping[str, Reading]
+) -> dict[str, str]:
+    """Refusals of customers that were not reported back since, with reasons."""
+    ids = {str(name) for name in scenario.customers.id}
+    back = {name: one.time for name, one in online.items() if one.value != 0.0}
+    return {
+        name: one.reason
+        for name, one in refusals.items()
+        if name in ids and not back.get(name, one.at) > one.at
+    }
