@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -27,25 +27,6 @@ PVCheck = Literal["absorbing", "literal"]
 SOC_TOLERANCE = 1e-6
 POWER_TOLERANCE_KW = 1e-3
 BALANCE_TOLERANCE_KW = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Actual:
-    """Row ``t`` of a plan beside what is measured when it is due; (C,), (P,) and (B,) arrays."""
-
-    plan: Dispatch
-    t: int
-    load_kw: Floats
-    pv_kw: Floats
-    grid_limit_kw: float
-    observation: Observation
-    window: WindowData
-    loss_kw: float = 0.0
-    export_limit_kw: float = 0.0
-
-    @property
-    def battery_kw(self) -> Floats:
-        return np.asarray(self.plan.charge_kw[self.t] - self.plan.discharge_kw[self.t])
 
 
 class FullHorizonController:
@@ -117,23 +98,11 @@ class FullHorizonController:
             self.first = observation.t0
             self.guessed = observation.open_ended
             info = solve_info(self.solver.site, solution, self.solver.compilations)
-        f = observation.forecast
         row = observation.t0 - self.first
         now = window.first(1).for_service(self.plan.served[row : row + 1])
         plan = self._within_energy(row, observation) if self.physical else self.plan
-        actual = _Actual(
-            plan,
-            row,
-            now.load_kw[0],
-            f.pv_kw[0],
-            float(f.grid_limit_kw[0]),
-            observation,
-            now,
-            0.0 if self.loss_kw is None else float(self.loss_kw[row]),
-            f.export_now_kw,
-        )
-        reasons = self.violations(actual)
-        connected = self.guessed and actual.grid_limit_kw > 0.0
+        reasons = self.violations(plan, row, now, observation.forecast.export_now_kw)
+        connected = self.guessed and not now.dark[0]
         if not reasons and connected and not self.plan.served[row].all():
             kept = self._step_without_disconnections(observation, row)
             if (kept.dispatch.served[0] & ~self.plan.served[row]).any():
@@ -179,82 +148,82 @@ class FullHorizonController:
             alone, "grid: an outage whose end is not known takes nobody off with grid"
         )
 
-    def violations(self, actual: _Actual) -> list[str]:
-        """Names of the checks that the planned step fails, with the worst item of each."""
+    def violations(
+        self, plan: Dispatch, t: int, now: WindowData, export_limit_kw: float
+    ) -> list[str]:
+        """Names of the checks that row ``t`` of a plan fails, with the worst item of each.
+
+        ``now`` is that step alone, as it is measured when it is due.
+        """
         site = self.solver.site
+        loss_kw = 0.0 if self.loss_kw is None else float(self.loss_kw[t])
         checks = (
-            _check_battery(site, actual),
-            self._check_pv(site, actual),
-            _check_grid(site, actual),
-            _check_switching(site, actual),
+            _check_battery(site, plan, t, now),
+            self._check_pv(site, plan, t, now),
+            _check_grid(site, plan, t, now, loss_kw, export_limit_kw),
+            _check_switching(site, plan, t, now),
         )
         return [text for text in checks if text]
 
-    def _check_pv(self, site: Site, actual: _Actual) -> str:
+    def _check_pv(self, site: Site, plan: Dispatch, t: int, now: WindowData) -> str:
         """PV power distribution feasibility, in the reading that was chosen."""
-        plan = actual.plan
-        t = actual.t
+        pv_kw = now.pv_kw[0]
         if self.literal:
             through = plan.pv_self_kw[t] + plan.pv_export_kw[t]
-            split = np.abs(through + plan.pv_curtailed_kw[t] - actual.pv_kw)
-            beyond = plan.pv_self_kw[t] - site.behind_meter(actual.load_kw)
+            split = np.abs(through + plan.pv_curtailed_kw[t] - pv_kw)
+            beyond = plan.pv_self_kw[t] - site.behind_meter(now.load_kw[0])
             apparent = np.hypot(through, plan.pv_q_kvar[t])
             excess = np.max([split, beyond, apparent - site.pv.s_max_kva], axis=0)
         else:
             # Reactive power gives way to active power in the inverter itself.
-            through = actual.pv_kw - np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw)
+            through = pv_kw - np.minimum(plan.pv_curtailed_kw[t], pv_kw)
             excess = through - site.pv.s_max_kva
         return worst_words("pv", site.pv.id, excess - POWER_TOLERANCE_KW, excess, "kW")
 
 
-def _check_battery(site: Site, actual: _Actual) -> str:
+def _check_battery(site: Site, plan: Dispatch, t: int, now: WindowData) -> str:
     """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
     b = site.batteries
-    t, plan = actual.t, actual.plan
     beyond = power_beyond_kw(b, plan.charge_kw[t], plan.discharge_kw[t], plan.batt_q_kvar[t])
     over_kva = beyond["inverter"]
     disc = worst_words("battery inverter", b.id, over_kva - POWER_TOLERANCE_KW, over_kva, "kVA")
-    known = BatteriesAhead.of(b, actual.observation, site.dt_h)
-    outside = np.maximum(*known.soc_beyond(known.after(actual.battery_kw)))
+    known = BatteriesAhead.of(b, now, site.dt_h)
+    outside = np.maximum(*known.soc_beyond(known.after(plan.charge_kw[t] - plan.discharge_kw[t])))
     return disc or worst_words(
         "battery energy", b.id, outside - SOC_TOLERANCE, outside, "of capacity"
     )
 
 
-def _check_grid(site: Site, actual: _Actual) -> str:
+def _check_grid(
+    site: Site, plan: Dispatch, t: int, now: WindowData, loss_kw: float, export_limit_kw: float
+) -> str:
     """Grid import feasibility: what the AC power flow imports, net of its losses.
 
     Net of losses the AC import is the sum of the nodal demands, so no power flow is needed to know
     it; losses count as far as the plan has paid for them. A surplus beyond what the grid takes
     violates as a shortage does, and an import-only connection takes none.
     """
-    plan = actual.plan
-    t = actual.t
+    load_kw, pv_kw, limit = now.load_kw[0], now.pv_kw[0], float(now.grid_limit_kw[0])
     served = plan.supplied[t]
     # What an owner consumes cannot be curtailed.
-    own = np.minimum(actual.pv_kw, site.behind_meter(actual.load_kw * served))
-    curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)
-    needed = (
-        actual.load_kw @ served
-        + actual.loss_kw
-        + actual.battery_kw.sum()
-        - (actual.pv_kw - curtailed).sum()
-    )
-    limit = actual.grid_limit_kw
+    own = np.minimum(pv_kw, site.behind_meter(load_kw * served))
+    curtailed = np.minimum(plan.pv_curtailed_kw[t], pv_kw - own)
+    battery_kw = plan.charge_kw[t] - plan.discharge_kw[t]
+    needed = load_kw @ served + loss_kw + battery_kw.sum() - (pv_kw - curtailed).sum()
     if needed > limit + BALANCE_TOLERANCE_KW:
         return f"grid import: {needed - limit:.1f} kW above what the grid gives"
-    surplus = -needed - actual.export_limit_kw
+    surplus = -needed - export_limit_kw
     if surplus > BALANCE_TOLERANCE_KW:
         return f"grid import: {surplus:.1f} kW surplus that cannot be exported"
     return ""
 
 
-def _check_switching(site: Site, actual: _Actual) -> str:
+def _check_switching(site: Site, plan: Dispatch, t: int, now: WindowData) -> str:
     """Whether the planned service obeys the switching rules after what was really served."""
-    rules = actual.window.switching
+    rules = now.switching
     if rules is None:
         return ""
-    broken = rules.broken(actual.plan.served[actual.t : actual.t + 1])
+    broken = rules.broken(plan.served[t : t + 1])
     if not broken.any():
         return ""
     first = site.customers.id[np.argmax(broken)]

@@ -41,7 +41,7 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
 
 def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
     """Decision by rule as a fallback, with the reason for it."""
-    carried = by_part(state, lambda part: rule_with_kinds(part.state, tiers))
+    carried = by_part(state, lambda part: rule_with_kinds(part, tiers))
     assert carried is not None  # a rule always has an answer
     words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
     return Decision(

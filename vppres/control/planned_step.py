@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.control.by_part import PartState
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats
 from vppres.model.formulas import bus_injections, curtailed_kw
@@ -48,18 +47,21 @@ class PlannedStep:
             {kind: plan.running_of(kind, units)[row] for kind, units in site.kinds.items()},
         )
 
-    def inside(self, part: PartState) -> PlannedStep:
+    def inside(self, part: StepState) -> PlannedStep:
         """Powers of devices of a part of the feeder, 0 for all others."""
+        site = part.site
+        pv, batteries = part.items(site.pv_bus), part.items(site.battery_bus)
+        units = {kind: part.items(place) for kind, place in site.unit_bus.items()}
         return replace(
             self,
-            served=self.served * part.customers,
-            curtailed_kw=self.curtailed_kw * part.pv,
-            pv_q_kvar=self.pv_q_kvar * part.pv,
-            charge_kw=self.charge_kw * part.batteries,
-            discharge_kw=self.discharge_kw * part.batteries,
-            batt_q_kvar=self.batt_q_kvar * part.batteries,
-            taken_kw={kind: kw * part.units[kind] for kind, kw in self.taken_kw.items()},
-            given_kvar={kind: kvar * part.units[kind] for kind, kvar in self.given_kvar.items()},
+            served=self.served * part.items(site.customer_bus),
+            curtailed_kw=self.curtailed_kw * pv,
+            pv_q_kvar=self.pv_q_kvar * pv,
+            charge_kw=self.charge_kw * batteries,
+            discharge_kw=self.discharge_kw * batteries,
+            batt_q_kvar=self.batt_q_kvar * batteries,
+            taken_kw={kind: kw * units[kind] for kind, kw in self.taken_kw.items()},
+            given_kvar={kind: kvar * units[kind] for kind, kvar in self.given_kvar.items()},
         )
 
     def sun_kw(self, state: StepState) -> Floats:

@@ -19,7 +19,7 @@ from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows, squared_voltages
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
-from vppres.model.parts import Parts, parts_of
+from vppres.model.parts import Parts, at_items, parts_of
 from vppres.model.site import Site
 from vppres.scenario.formers import largest_forming_battery
 
@@ -50,6 +50,7 @@ class StepState:
     ahead: KindsAhead = field(default_factory=KindsAhead)
     #: Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
     dark: bool = False
+    dead: bool = False  #: whether it is a part that nothing forms, or whose bus is out
     #: Parts into which lines that are out cut the feeder, one step.
     parts: Parts = field(kw_only=True)
     whole: Flags | None = None  #: customers that cannot be dimmed, (C,); none if not given
@@ -97,6 +98,12 @@ class StepState:
             whole=seen.whole,
             due=seen.switching.due,
         )
+
+    def items(self, place: Any) -> Flags:
+        """Which of the items that are placed on buses are inside, (n,)."""
+        everywhere = np.ones(self.site.network.n_buses, dtype=bool)
+        inside = everywhere if self.inside is None else self.inside
+        return np.asarray(at_items(inside[np.newaxis], place)[0])
 
     @property
     def worth(self) -> Floats:

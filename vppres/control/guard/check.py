@@ -184,7 +184,7 @@ def _dead_parts(row: PlannedStep, state: StepState) -> str:
 
 def _balance(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     """Violation of the power balance of a part of the feeder; empty if there is none."""
-    found = (_balance_in(row.inside(p), p.state, within) for p in parts_of_step(state))
+    found = (_balance_in(row.inside(part), part, within) for part in parts_of_step(state))
     return next(filter(None, found), "")
 
 

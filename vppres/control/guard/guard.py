@@ -16,7 +16,7 @@ import numpy as np
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
-from vppres.control.by_part import PartState, by_part
+from vppres.control.by_part import by_part
 from vppres.control.carried import Carried
 from vppres.control.converged import dark_steps
 from vppres.control.full_horizon import FullHorizonController
@@ -225,13 +225,14 @@ class GuardedController:
         share = np.where(served, plan.supplied[row], 1.0)
         wanted = plan.charge_kw[row] - plan.discharge_kw[row]
 
-        def as_planned_in(part: PartState) -> Carried | None:
-            dimmed = replace(part.state, load_kw=part.state.load_kw * share)
-            found = carry(dimmed, served & part.customers, wanted * part.batteries)
-            phased = part.state.island and bool(self.site.phases)
+        def as_planned_in(part: StepState) -> Carried | None:
+            dimmed = replace(part, load_kw=part.load_kw * share)
+            on = served & part.items(self.site.customer_bus)
+            found = carry(dimmed, on, wanted * part.items(self.site.battery_bus))
+            phased = part.island and bool(self.site.phases)
             if found is None or found.shortage or not phased:
                 return found
-            return found if carried_by_phase(part.state, found.dispatch) else None
+            return found if carried_by_phase(part, found.dispatch) else None
 
         carried = by_part(state, as_planned_in)
         if carried is None or carried.shortage:

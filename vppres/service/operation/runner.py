@@ -77,7 +77,7 @@ from vppres.service.telemetry.knowledge import (
     soc_at,
     states_of,
 )
-from vppres.service.telemetry.learned import InSteps, learned, measured_in
+from vppres.service.telemetry.learned import InSteps, learned
 from vppres.service.telemetry.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
 from vppres.service.telemetry.refused import RefusedReadings
 
@@ -543,7 +543,7 @@ class Runner:
         if not known:
             self.store.write_step(time, plan, asked=asked)
             return plan
-        after = After(self._controller.saved(), measured_in(self._controller))
+        after = After(self._controller.saved(), self._controller.measured)
         try:
             self.store.write_step(time, plan, after, asked)
         except StorageError:

@@ -12,6 +12,7 @@ import pandas as pd
 from pydantic import TypeAdapter
 
 from vppres.core.errors import VppresError
+from vppres.scenario.history import History
 from vppres.service import payloads
 
 _EVENT: TypeAdapter[Any] = TypeAdapter(payloads.Event)
@@ -109,15 +110,6 @@ class Lost:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Demand and PV power of a step in the site's order, None where nothing was measured."""
-
-    time: int
-    load_kw: list[float | None]
-    pv_kw: list[float | None]
-
-
-@dataclass(frozen=True)
 class AlarmRow:
     """An alarm as it is kept; its number is 0 before."""
 
@@ -151,7 +143,7 @@ class After:
     """A controller's state as JSON after a step, and what its forecaster learned, if one does."""
 
     state: str
-    measured: Measured | None = None
+    measured: History | None = None
 
 
 @dataclass(frozen=True)

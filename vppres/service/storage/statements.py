@@ -8,11 +8,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
-from vppres.service.storage.records import AlarmRow, ChangedError, Event, Measured, seconds
+from vppres.core.plain import json_safe
+from vppres.scenario.history import History
+from vppres.service.storage.records import AlarmRow, ChangedError, Event, seconds
 from vppres.service.storage.tables import (
     ALARMS,
     AUDIT,
@@ -91,11 +94,13 @@ def as_text(body: Mapping[str, Any]) -> str:
     return json.dumps(body, sort_keys=True)
 
 
-def put_measured(db: sa.Connection, rows: Iterable[Measured]) -> None:
-    """Keep what was measured in steps."""
-    for row in rows:
-        load_kw, pv_kw = (json.dumps(values) for values in (row.load_kw, row.pv_kw))
-        put(db, MEASURED, time=row.time, load_kw=load_kw, pv_kw=pv_kw)
+def put_measured(db: sa.Connection, measured: History) -> None:
+    """Keep the steps in which anything was measured."""
+    both = measured.load_kw, measured.pv_kw
+    for t in np.flatnonzero(np.isfinite(np.hstack(both)).any(axis=1)).tolist():
+        load_kw, pv_kw = (json.dumps(json_safe(kw[t].tolist())) for kw in both)
+        time = seconds(measured.start + t * measured.step)
+        put(db, MEASURED, time=time, load_kw=load_kw, pv_kw=pv_kw)
 
 
 def note_refusal(

@@ -16,7 +16,10 @@ import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, StorageError
+from vppres.scenario.history import History
+from vppres.scenario.timegrid import TimeGrid
 from vppres.service.clock import written
 from vppres.service.payloads import Forecasts, read_moment
 from vppres.service.storage.database import opened_database
@@ -27,7 +30,6 @@ from vppres.service.storage.records import (
     ChangedError,
     Event,
     Lost,
-    Measured,
     Reading,
     Token,
     UnknownError,
@@ -283,7 +285,7 @@ class Store:
                 kept = newest.limit(STATES_KEPT).scalar_subquery()
                 db.execute(STATES.delete().where(STATES.c.time.not_in(kept)))
                 if after.measured:
-                    put_measured(db, [after.measured])
+                    put_measured(db, after.measured)
             if asked:
                 note(db, asked.at, asked.actor, "step", f"{plan['id']} {plan['status']}")
 
@@ -326,19 +328,28 @@ class Store:
                 gone = db.execute(table.delete().where(table.c.time >= seconds(since))).rowcount
             note(db, now, "clock", "steps withdrawn", f"{gone} from {written(since)} on: {reason}")
 
-    def put_measured(self, rows: Iterable[Measured]) -> None:
-        """Keep what was measured in steps."""
+    def put_measured(self, measured: History) -> None:
+        """Keep the steps in which anything was measured."""
         with self._changes(routine=True) as db:
-            put_measured(db, rows)
+            put_measured(db, measured)
 
-    def measured(self, since: pd.Timestamp) -> list[Measured]:
-        """Measured values of the steps from a time on."""
+    def measured(self, since: pd.Timestamp, grid: TimeGrid) -> History | None:
+        """Measurements of the steps from a time on; None if there are none."""
         m = MEASURED.c
-        chosen = sa.select(MEASURED).where(m.time >= seconds(since)).order_by(m.time)
-        return [
-            Measured(row.time, json.loads(row.load_kw), json.loads(row.pv_kw))
-            for row in self._rows(chosen)
-        ]
+        rows = self._rows(sa.select(MEASURED).where(m.time >= seconds(since)).order_by(m.time))
+        if not rows:
+            return None
+        start = moment(rows[0].time)
+        places = [round((moment(row.time) - start) / grid.step) for row in rows]
+
+        def laid(kept: Iterable[str]) -> Floats:
+            values = np.array([json.loads(kw) for kw in kept], dtype=float)
+            found = np.full((places[-1] + 1, values.shape[1]), np.nan)
+            found[places] = values
+            return found
+
+        load_kw, pv_kw = laid(row.load_kw for row in rows), laid(row.pv_kw for row in rows)
+        return History(start, grid.step_minutes, load_kw, pv_kw, zone=grid.zone)
 
     def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
         """The step that was asked for with a key: the first one, whatever is asked for now."""

@@ -77,6 +77,8 @@ LOST_AFTER = 3
 
 WHERE = "telemetry"
 
+_Powers = tuple[pd.DataFrame | None, dict[str, list[str]], list[str]]
+
 
 @dataclass(frozen=True)
 class Heard:
@@ -256,7 +258,8 @@ def known_at(
     scenario = controller.scenario
     at = now or time
     readings, window, events, load, (grid, doubt) = _announced_and_read(time, controller, store, at)
-    pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
+    load_kw, foretold_load, load_words = load
+    pv_kw, foretold_pv, pv_words = _powers("pv_kw", scenario.pv.id, window, readings, store)
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     stored = Stored(scenario, time, readings, means, said.decided_at, said.plans, at, store)
@@ -268,8 +271,8 @@ def known_at(
     measurement = Measurement(
         time,
         soc=soc,
-        load_kw=load.table,
-        pv_kw=pv.table,
+        load_kw=load_kw,
+        pv_kw=pv_kw,
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
         **_of_batteries(scenario, readings, means.get("battery_kw", {}), store),
@@ -280,7 +283,7 @@ def known_at(
         announced_limit_kw=None
         if announced is None
         else pd.Series(announced, window.times).dropna(),
-        foretold=load.foretold | pv.foretold,
+        foretold=foretold_load | foretold_pv,
         now=now,
         ordered_kw=said.ordered_kw,
         **of_kinds,
@@ -291,7 +294,7 @@ def known_at(
         },
     )
     whole = [f"{name} cannot be dimmed ({why})" for name, why in undimmed.items()]
-    estimated = [*load.estimated, *pv.estimated, *whole, *([doubt] if doubt else [])]
+    estimated = [*load_words, *pv_words, *whole, *([doubt] if doubt else [])]
     again = ""
     if grid.known_by == "reading" and not grid.available:
         zero = readings.last.get((GRID, "grid_on"))
@@ -327,8 +330,8 @@ def _announced_and_read(
     window = Window.of(controller, time)
     replaced = controller.replaced(time)
     events = [event for name, event in store.events().items() if name not in replaced]
-    load = _Powers.of("load_kw", controller.scenario.customers.id, window, readings, store)
-    grid = _grid(controller, window, readings, events, at, load, store)
+    load = _powers("load_kw", controller.scenario.customers.id, window, readings, store)
+    grid = _grid(controller, window, readings, events, at, load[0], store)
     return readings, window, events, load, grid
 
 
@@ -423,33 +426,22 @@ class Latest:
         return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
 
 
-@dataclass(frozen=True, eq=False)
-class _Powers:
+def _powers(quantity: str, ids: Names, window: Window, readings: Latest, store: Store) -> _Powers:
     """Loads or PV power of a window: what is read now, and what is expected of later steps.
 
-    Assets that a forecast was sent for are ``foretold``, by quantity; of some of them that are
-    silent for too long what is ``estimated`` stands in.
+    Assets that a forecast was sent for, by quantity, and in words for which of them, silent for
+    too long, an estimate stands in. No table where there are no assets.
     """
-
-    table: pd.DataFrame | None
-    foretold: dict[str, list[str]]
-    estimated: list[str]
-
-    @classmethod
-    def of(
-        cls, quantity: str, ids: Names, window: Window, readings: Latest, store: Store
-    ) -> _Powers:
-        """A row for each step; no table where there are no assets."""
-        if not len(ids):
-            return cls(None, {}, [])
-        forecast = store.forecast(quantity, window.times[0] + window.length)
-        table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
-        foretold = {quantity: list(forecast.assets) if forecast else []}
-        words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
-        read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
-        names = [str(name) for name in ids]
-        table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
-        return cls(pd.DataFrame(table, window.times, names), foretold, words)
+    if not len(ids):
+        return None, {}, []
+    forecast = store.forecast(quantity, window.times[0] + window.length)
+    table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
+    foretold = {quantity: list(forecast.assets) if forecast else []}
+    words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
+    read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
+    names = [str(name) for name in ids]
+    table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
+    return pd.DataFrame(table, window.times, names), foretold, words
 
 
 @dataclass(frozen=True, eq=False)
@@ -520,7 +512,7 @@ def _grid(
     readings: Latest,
     events: list[Event],
     now: pd.Timestamp,
-    load: _Powers,
+    load_kw: pd.DataFrame | None,
     store: Store,
 ) -> tuple[Grid, str]:
     """Whether there is grid: by its own reading, else by what is announced or believed.
@@ -528,7 +520,7 @@ def _grid(
     A reading that it is lost, and that another one contradicts, counts for nothing; in words what
     contradicts it.
     """
-    demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
+    demand_kw = 0.0 if load_kw is None else float(load_kw.iloc[0].sum())
     zero = readings.last.get((GRID, "grid_on"))
     doubt = contradiction(zero, now, window.length, store, demand_kw)
     # What ended within the step is over for the rest of it.
