@@ -211,6 +211,7 @@ def test_problems_as_json(tiny_folder: Path) -> None:
         "message": "must be at least 1e-07",
         "cure": "Give the series resistance in ohm.",
         "more": 0,
+        "rows": [],
     }
 
 

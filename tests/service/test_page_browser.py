@@ -435,6 +435,18 @@ def test_an_operation_of_a_switch_is_confirmed_on_the_page(browser: Any, tmp_pat
             runner.store.put_setting("switching", asked, noon, "test")
             watcher.wait_for("#switching-next", "Confirm: close t")
             assert watcher.text("#switching-list").startswith("close t: ")
+            # The order is put anew before the page has seen it, with the same next operation.
+            overview = "**/v1/overview"
+            old = watcher.page.evaluate("fetch('v1/overview').then((answer) => answer.text())")
+            watcher.page.route(overview, lambda route: route.fulfill(body=old))
+            runner.store.put_setting("switching", {**asked, "reason": "agreed"}, noon, "another")
+            watcher.page.click("#switching-next")
+            watcher.page.click("#switching-yes")
+            watcher.wait_for("#switching-said", "The switching has changed since.")
+            assert not runner.store.setting("switching")[0].get("issued")
+            watcher.page.unroute(overview)
+            watcher.page.reload()
+            watcher.wait_for("#switching-next", "Confirm: close t")
             watcher.page.click("#switching-next")
             watcher.page.click("#switching-yes")
             watcher.wait_for("#switching-words", "t has not yet read closed.")

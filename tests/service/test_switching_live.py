@@ -139,6 +139,7 @@ def test_the_page_shows_the_order_and_the_operation_to_confirm(live: Live, tmp_p
     asked_for = "Asked for: s open, t closed."
     assert page["words"] == f"{asked_for} The first waits for an operator's confirmation."
     assert page["next"] == "close t"
+    assert page["seen"] == http.get("/v1/switching").headers["etag"]
     confirm(http, "t")
     page = shown()
     words = "An operation is carried out: t has not yet read closed."

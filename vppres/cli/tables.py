@@ -82,6 +82,7 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
             "message": problem,
             "cure": None,
             "more": 0,
+            "rows": [],
         }
     return {
         "file": problem.where,
@@ -91,6 +92,7 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
         "message": problem.message,
         "cure": problem.cure,
         "more": problem.more,
+        "rows": [*problem.rows],
     }
 
 
@@ -99,7 +101,8 @@ def validation_text(
 ) -> str:
     """One line per problem and their number, or what the sound scenario holds."""
     if content is None:
-        return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
+        number = sum(1 if isinstance(one, str) else 1 + one.more for one in problems)
+        return "\n".join([*map(str, problems), f"{counted(number, 'problem')}."])
     from vppres.kinds.table import parts
 
     held = [

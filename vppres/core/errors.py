@@ -34,7 +34,8 @@ class Problem:
     row: int | None = None
     field: str | None = None  #: column or key
     value: object = None  #: the offending value as it was read
-    more: int = 0  #: further mistakes of the same kind that are not listed
+    more: int = 0  #: further mistakes of the same kind
+    rows: tuple[int, ...] = ()  #: rows of the first of these, if all are in one column
 
     def __str__(self) -> str:
         place = self.where
@@ -45,6 +46,10 @@ class Problem:
             if self.value is not None:
                 place += f" = {self.value}"
         more = f", and {self.more} more" if self.more else ""
+        if self.rows:
+            left = ", ..." if self.more > len(self.rows) else ""
+            rows = ", ".join(map(str, (self.row, *self.rows)))
+            more = f" (in {self.more + 1} rows: {rows}{left})"
         # Places and values are others' text: long words are cut, and what would steer a terminal is
         # written out.
         return visible(brief(f"{place}: {self.message}{more}. {self.cure}"))

@@ -19,6 +19,7 @@ from vppres.io import schema
 
 MAX_PROBLEMS_PER_FILE = 50
 MAX_PROBLEMS_PER_KIND = 10
+MAX_ROWS_PER_PROBLEM = 5
 # To look for near names costs the product of both numbers of names: few are enough to see a habit.
 _MAX_NAMES_COMPARED = 2000
 _MAX_COMPARED_LENGTH = 100
@@ -136,31 +137,42 @@ def in_order(problems: Iterable[Problem], files: Iterable[str]) -> list[Problem]
 def few(positions: Sequence[int] | Wholes, make: Callable[[int], Problem]) -> list[Problem]:
     """The problems at the first positions, of which the last one counts the others.
 
-    >>> few(range(25), lambda i: Problem("a.csv", "is empty", "Fill it.", row=i))[-1].more
-    15
+    >>> print(*few(range(25), lambda i: Problem("a.csv", "is empty", "Fill it.", row=i)))
+    a.csv, row 0: is empty (in 25 rows: 0, 1, 2, 3, 4, ...). Fill it.
     """
-    found = [make(int(i)) for i in positions[:MAX_PROBLEMS_PER_KIND]]
-    more = len(positions) - len(found)
+    made = [make(int(i)) for i in positions[:MAX_PROBLEMS_PER_KIND]]
+    found = folded(made)
+    more = len(positions) - len(made)
     if more > 0:
-        found[-1] = replace(found[-1], more=more)
+        found[-1] = replace(found[-1], more=found[-1].more + more)
     return found
 
 
 def folded(problems: Iterable[Problem]) -> list[Problem]:
     """Problems in their order, the first of each kind, the last one listed counting the others.
 
-    A kind is a message, without the values in it, and the column of a row's problem.
+    A kind is a message, without the values in it, and the column of a row's problem. Rows of a
+    column that have one cure are one problem.
 
     >>> column = [Problem("a.csv", "is empty", "Fill it.", row=i, field="x") for i in range(15)]
-    >>> print(folded(column)[-1])
-    a.csv, row 9, x: is empty, and 5 more. Fill it.
+    >>> print(*folded(column))
+    a.csv, row 0, x: is empty (in 15 rows: 0, 1, 2, 3, 4, ...). Fill it.
     """
     kept: list[Problem] = []
     places: dict[tuple[str, str | None], list[int]] = {}
+    columns: dict[tuple[str, str, str | None, str], int] = {}
     for problem in problems:
+        kind = _VALUES.split(problem.message)[0]
         field = None if problem.row is None else problem.field
-        same = places.setdefault((_VALUES.split(problem.message)[0], field), [])
-        if len(same) < MAX_PROBLEMS_PER_KIND:
+        column = (problem.where, kind, field, problem.cure)
+        same = places.setdefault((kind, field), [])
+        if problem.row is not None and column in columns:
+            first = kept[columns[column]]
+            rows = (*first.rows, problem.row, *problem.rows)[: MAX_ROWS_PER_PROBLEM - 1]
+            more = first.more + 1 + problem.more
+            kept[columns[column]] = replace(first, more=more, rows=rows)
+        elif len(same) < MAX_PROBLEMS_PER_KIND:
+            columns[column] = len(kept)
             same.append(len(kept))
             kept.append(problem)
         else:

@@ -20,6 +20,7 @@ from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
 from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.switching import SWITCHING
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans.document import DARK, points_at, refused_of
 from vppres.service.replay.export import off_minutes
@@ -175,7 +176,7 @@ class Overview:
             "ahead_s": runner.ahead_s if plan else None,
             "steps": runner.outcomes,
             "alarms": runner.alarms.listed(now),
-            "switching": runner.switchgear().told() if runner.is_switching else None,
+            "switching": self._switching() if runner.is_switching else None,
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard, now),
             "measured": self._measured(latest.found, now),
@@ -184,6 +185,11 @@ class Overview:
             "plan": self._told(plan, now, found.why_dark) if plan else None,
             "past": self._recent(now),
         }
+
+    def _switching(self) -> dict[str, Any]:
+        """The order of switching, with the ETag of the state that is shown."""
+        asked, tag = self.runner.store.setting(SWITCHING)
+        return {**self.runner.switchgear(asked).told(), "etag": f'"{tag}"'}
 
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
         """Valid part of the last plan, without the customers that are on.

@@ -40,8 +40,8 @@ export class Operator {
   }
 
   // Something that needs no dialog, on an alarm or an operation.
-  async act(path, method, body, answer = "attention-said") {
-    const said = await this.ask(path, { method, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
+  async act(path, method, body, answer = "attention-said", headers = {}) {
+    const said = await this.ask(path, { method, headers, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
     $(answer).textContent = said;
     await this.look();
   }

@@ -19,7 +19,7 @@ const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new
 let heardAt = performance.now(); // on this machine's monotonic clock
 
 async function ask(path, options = {}, patience_ms = PATIENCE_MS) {
-  const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
+  const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }), ...options.headers };
   const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(patience_ms) });
   const body = await answer.json().catch(() => ({}));
   if (!answer.ok) throw Object.assign(new Error(body.detail ?? `The service answers ${answer.status}.`), { status: answer.status });
@@ -481,8 +481,8 @@ function showSteps() {
 
 const operator = new Operator(ask, look, () => view.now, () => view);
 $("switching-yes").addEventListener("click", () => {
-  const { path, method, body } = switching(view);
-  operator.act(path, method, () => body, "switching-said");
+  const { path, method, body, seen } = switching(view);
+  operator.act(path, method, () => body, "switching-said", { "If-Match": seen });
 });
 new ResizeObserver(() => charts?.fit()).observe($("outlook"));
 setInterval(show, 1000);

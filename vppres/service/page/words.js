@@ -200,7 +200,7 @@ export function switching(view) {
   const closed = found?.proposed?.closed ?? {};
   if (Object.keys(closed).length && found.status !== "confirm" && found.status !== "waiting") {
     const { order, why } = found.proposed;
-    return { operations: order, words: `Proposed: ${why}.`, next: `ask for ${list(states(closed))}`, path: "v1/switching", method: "PUT", body: { closed } };
+    return { operations: order, words: `Proposed: ${why}.`, next: `ask for ${list(states(closed))}`, path: "v1/switching", method: "PUT", body: { closed }, seen: found.etag };
   }
   if (!found || found.status === "none") return null;
   const { status, operations, reason, next } = found;
@@ -211,7 +211,7 @@ export function switching(view) {
     done: "All switches are as asked.",
   }[status];
   const verb = next && found.operations[0].startsWith("close ") ? "close" : "open";
-  const request = { path: "v1/switching/confirm", method: "POST", body: { switch: next } };
+  const request = { path: "v1/switching/confirm", method: "POST", body: { switch: next }, seen: found.etag };
   return { operations, words: `Asked for: ${list(states(found.asked))}. ${words}`, next: next ? `${verb} ${next}` : "", ...request };
 }
 
