@@ -372,6 +372,8 @@ def test_what_cannot_be_read_is_an_input_error(tiny: Scenario) -> None:
         "measurement: cannot be read: LookupError, not today. Give plain dictionaries, numbers, "
         "Series and DataFrames."
     ]
+    [line] = refused(controller, foretold=5)
+    assert line.startswith("measurement: cannot be read: AttributeError")
     with pytest.raises(InputError, match="observation = 5: is not a Measurement"):
         controller.step(5)  # type: ignore[arg-type]
 
@@ -515,6 +517,9 @@ def test_step_that_fails_leaves_the_controller_as_it_was(
         soc = dict(decision.batteries["soc_end"])
         for name in ("customers", "batteries", "pv", "buses"):
             assert getattr(decision, name).equals(getattr(expected, name)), name
+        for now in (time, time + pd.Timedelta("10min")):  # the step again, and the rest of it
+            with pytest.raises(InputError):
+                controller.step(Measurement(time, {"bgi": 0.4}, now=now))
 
 
 def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None:

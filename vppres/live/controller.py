@@ -19,7 +19,7 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
-from vppres.live.measurement import Measurement, Seen, see, step_at
+from vppres.live.measurement import Measurement, row_of, step_at
 from vppres.live.past import Past
 from vppres.live.present import Present
 from vppres.live.proposal import Proposal
@@ -373,50 +373,49 @@ class Controller:
 
     def _step(self, observation: Measurement) -> SetPoints:
         """One step, undone if it fails."""
-        earliest = max(self._past.t - self._forgotten, 0)
-        guard = self.options.guard
-        seen = see(self.scenario, observation, guard, earliest, self._kinds_before)
         latest = memory_of(self._decider, self._given)
-        start = (latest, self._past)
-        if again := self._before_again(seen.t):
-            start = again
-            if seen.elapsed_h:
-                start = (latest, start[1].within_step(self._past))
         try:
+            row, within = row_of(self.scenario.grid, observation)
+            start = self._start(row, within, latest)
             self._recall(start[0])
-            points, past = self._decision_and_state(seen, start[1])
+            present = Present.of(
+                observation,
+                self.scenario,
+                row + self._forgotten,
+                self._window(row),
+                self._ahead(row),
+                start[1],
+                self.options,
+                self._past_days,
+                max(self._past.t - self._forgotten, 0),
+            )
+            points, past = self._decision_and_state(present)
         except BaseException as error:  # Ctrl-C too
             self._recall(latest)
             if isinstance(error, Exception) and not isinstance(error, VppresError):
                 raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
             raise
         self._past = past
-        if not (seen.elapsed_h and self._step_before):
+        if not (within and self._step_before):
             self._step_before = start
         return points
 
-    def _before_again(self, row: int) -> tuple[dict[str, Any], Past] | None:
-        """State before a step, if it is the last one, which is decided again."""
-        return self._step_before if row + self._forgotten == self._past.t else None
-
-    def _kinds_before(self, row: int, within: bool) -> dict[str, Any]:
-        """Units of each kind as they were known before a step, or before a moment within it."""
-        again = None if within else self._before_again(row)
-        return (again[1] if again else self._past).kinds
+    def _start(self, row: int, within: bool, latest: dict[str, Any]) -> tuple[dict[str, Any], Past]:
+        """Memory and state from which a step goes on: those before it, if it is decided again."""
+        again = self._step_before if row + self._forgotten == self._past.t else None
+        if not again:
+            return latest, self._past
+        return (latest, again[1].within_step(self._past)) if within else again
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Let the decider stand where a memory of it was made."""
         put_back(self._decider, memory, self._given, WHERE)
 
-    def _decision_and_state(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
+    def _decision_and_state(self, present: Present) -> tuple[SetPoints, Past]:
         """Decision for the window as it is expected, and the state to go on from."""
-        t = seen.t + self._forgotten
-        window, ahead = self._window(seen.t), self._ahead(seen.t)
-        known, options = self.scenario, self.options
-        present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
         known_now = present.observation(OutageView.create(self.scenario, self._record))
-        decision = _without_disconnected(self._decider.decide(known_now), seen.connected)
-        words = (*seen.left_out, *present.estimated, decision.estimated)
+        decision = _without_disconnected(self._decider.decide(known_now), present.connected)
+        words = (*present.estimated, decision.estimated)
         estimated = "; ".join(filter(None, words))
         decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or known_now, decision.estimated)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -11,12 +12,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.observation import Told
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Flags, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.kinds.live_fields import ReadOfKinds
-from vppres.kinds.table import TABLES, parts
+from vppres.kinds.table import parts
 from vppres.live.door import HOUR, WHERE, Door, readable
-from vppres.live.ranges import ranges_of
 from vppres.scenario.assets import Batteries
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -151,80 +151,14 @@ class Measurement(ReadOfKinds):
     ordered_kw: pd.DataFrame | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A measurement in arrays, by its own names; NaN where a reading is missing."""
-
-    t: int  #: the step
-    #: The scenario with what was expected in its place, and what was measured where that is
-    #: anything.
-    scenario: Scenario
-    load_kw: Floats
-    pv_kw: Floats
-    soc: Floats
-    eta_charge: Floats
-    eta_discharge: Floats
-    battery_kw: Floats | None
-    online: Flags
-    import_kw: float | None
-    connected: Flags
-    dimmable: Flags
-    closed: dict[str, bool]  #: states of switches, as far as they were read
-    #: Largest import while there is grid, as far as it was announced, (T,); NaN elsewhere.
-    announced_kw: Floats
-    #: Series whose steps ahead are another provider's forecast, (C,) and (P,).
-    foretold_load: Flags
-    foretold_pv: Flags
-    left_out: tuple[str, ...]  #: readings that no device can have, in words; they count as missing
-    elapsed_h: float  #: how much of the step is over
-    soc_age_h: Floats  #: how old the states of charge are, (B,)
-    #: Set-points of batteries since the last decision, where these differ from it.
-    told: tuple[Told, ...]
-    kinds: dict[str, Any]  #: readings of the units of each kind
-    #: What the scenario says of demand and PV power in the step, (C,) and (P,).
-    profile_kw: Floats
-    profile_pv_kw: Floats
-
-    def window(self, rows: range) -> Seen:
-        """Measurements of some steps alone, of which the first is the present one."""
-        scenario = self.scenario.between(rows.start, rows.stop)
-        now = scenario.grid.start
-        scenario = replace(
-            scenario, **{name: getattr(scenario, name).to_come(now) for name in TABLES}
-        )
-        return replace(
-            self,
-            t=0,
-            scenario=scenario,
-            announced_kw=self.announced_kw[rows.start : rows.stop],
-        )
-
-    def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
-        """The scenario with what is taken for true of the step, (C,) and (P,)."""
-        return replace(
-            self.scenario,
-            load_kw=_with_row(self.scenario.load_kw, self.t, load_kw),
-            pv_kw=_with_row(self.scenario.pv_kw, self.t, pv_kw),
-        )
-
-
-def see(
-    scenario: Scenario,
-    measured: Measurement,
-    guard: bool = True,
-    earliest: int = 0,
-    before: Callable[[int, bool], Mapping[str, Any]] = lambda *_: {},
-) -> Seen:
-    """Lay a measurement over a scenario.
-
-    Nothing of it is trusted: a ``guard`` estimates what is missing, otherwise it is refused.
-    ``earliest`` is the first step that can still be decided; ``before`` gives the units as they
-    were known before a step, or a moment within it, by kind.
+@contextmanager
+def reading(measured: Measurement) -> Iterator[None]:
+    """Whatever a measurement holds that cannot be read is refused, as it may come from any caller.
 
     Raises
     ------
     InputError
-        With every value that does not fit the scenario.
+        In place of other errors.
     """
     if not isinstance(measured, Measurement):
         raise InputError.of(
@@ -235,10 +169,10 @@ def see(
             value=readable(measured),
         )
     try:
-        return _measurement_arrays(scenario, measured, guard, earliest, before)
+        yield
     except VppresError:
         raise
-    except Exception as error:  # a mapping may come from any caller
+    except Exception as error:
         raise InputError.of(
             WHERE,
             f"cannot be read: {type(error).__name__}, {readable(error)}",
@@ -259,73 +193,43 @@ def step_at(grid: TimeGrid, time: Any) -> int:
     return door.t
 
 
-def _measurement_arrays(
-    scenario: Scenario,
-    measured: Measurement,
-    guard: bool,
-    earliest: int,
-    before: Callable[[int, bool], Mapping[str, Any]],
-) -> Seen:
-    """The measurement, read; problems are listed in the order of the readings."""
-    door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
-    _check_order(door, measured, earliest)
-    c, pv, b = scenario.customers, scenario.pv, scenario.batteries
-    load_kw = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
-    pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
-    of_grid = _grid_series(door, scenario, measured)
-    of_batteries = _of_batteries(door, b, measured)
-    import_kw = door.number("import_kw", measured.import_kw)
-    connected = door.flags("connected", measured.connected, c.id)
-    dimmable = door.flags("dimmable", measured.dimmable, c.id)
-    closed = _states(door, measured.closed, scenario.switches.id)
-    unknown = np.full(scenario.grid.n_steps, np.nan)
-    announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+def row_of(grid: TimeGrid, measured: Measurement) -> tuple[int, bool]:
+    """The step of a measurement, and whether it is of a moment within it.
+
+    The first step where there is none; :func:`moment_at` says so.
+    """
+    with reading(measured):
+        door = Door(grid, measured.time)
+        return max(door.t, 0), (door.moment("now", measured.now) or door.begun) > door.begun
+
+
+def moment_at(door: Door, measured: Measurement) -> pd.Timestamp:
+    """The moment of a measurement, which must lie within its step."""
     now = door.moment("now", measured.now) or door.begun
     if not door.begun <= now < door.begun + door.grid.step:
         door.problem("now", "lies outside the step", "Give a time within it.", measured.now)
-    soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
-    told = _overrides(door, measured.ordered_kw, b.id, now)
-    if not guard:
-        _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
-    past, kinds = before(door.t, now > door.begun), {}
+    return now
+
+
+def read_kinds(
+    door: Door,
+    scenario: Scenario,
+    measured: Measurement,
+    now: pd.Timestamp,
+    past: Mapping[str, Any],
+) -> tuple[Scenario, dict[str, Any]]:
+    """Readings of the units of each kind, and the scenario with what was read in its place."""
+    kinds = {}
     for kind, live in parts("live").items():
         ids = getattr(scenario, kind).id
         of_kind = {name: getattr(measured, name) for name in live.RANGES}
         times = {name: (measured.read_at or {}).get(name) for name in live.RANGES}
         ages_h = {name: door.ages_h(f"read_at {name}", at, ids, now) for name, at in times.items()}
         scenario, kinds[kind] = live.read(door, scenario, of_kind, ages_h, past.get(kind))
-    door.finish()
-    pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
-    foretold = measured.foretold or {}
-    return Seen(
-        t=door.t,
-        scenario=replace(
-            scenario,
-            load_kw=np.where(np.isnan(load_kw), scenario.load_kw, load_kw) * connected,
-            pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
-            **of_grid,
-        ),
-        load_kw=np.where(connected, load_kw[door.t], 0.0),
-        profile_kw=scenario.load_kw[door.t] * connected,
-        profile_pv_kw=scenario.pv_kw[door.t],
-        pv_kw=pv_kw[door.t],
-        **of_batteries,
-        import_kw=import_kw,
-        connected=connected,
-        dimmable=dimmable,
-        closed=closed,
-        announced_kw=announced,
-        foretold_load=_is_named(c.id, foretold.get("load_kw", ())),
-        foretold_pv=_is_named(pv.id, foretold.get("pv_kw", ())),
-        left_out=tuple(door.left_out),
-        elapsed_h=(now - door.begun) / HOUR,
-        soc_age_h=soc_age_h,
-        told=told,
-        kinds=kinds,
-    )
+    return scenario, kinds
 
 
-def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, Any]:
+def read_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, Any]:
     """Readings of the batteries; a missing efficiency is the nominal one, no estimate is better."""
     unknown = np.full(len(b), np.nan)
     soc = door.values("soc", measured.soc, b.id, unknown)
@@ -341,14 +245,14 @@ def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, 
     }
 
 
-def _states(door: Door, read: Any, ids: Names) -> dict[str, bool]:
+def read_switches(door: Door, read: Any, ids: Names) -> dict[str, bool]:
     """States of the switches that were read."""
     closed = door.flags("closed", read, ids)
     given = set(read.keys()) if isinstance(read, (Mapping, pd.Series)) else set()
     return {str(name): bool(one) for name, one in zip(ids, closed, strict=True) if name in given}
 
 
-def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
+def read_grid(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
     """Prices and limits of the grid as measured, (T,) each; the scenario's where not given."""
     price = scenario.price_gbp_per_kwh
     limit = scenario.grid_limit_kw
@@ -362,13 +266,13 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
     return {name: door.series(name, given, known) for name, (given, known) in own.items()}
 
 
-def _is_named(ids: Names, named: Sequence[str]) -> Flags:
+def named(ids: Names, named: Sequence[str]) -> Flags:
     """Whether each identifier is named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
 
 
-def _overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
+def read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
     """Set-points of batteries from times on, the earliest first."""
     if ordered_kw is None:
         return ()
@@ -381,7 +285,7 @@ def _overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tu
     return tuple(sorted(found, key=lambda one: -one.before_h))
 
 
-def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
+def check_order(door: Door, measured: Measurement, earliest: int) -> None:
     """Time does not go back: what happened since cannot be undone."""
     if 0 <= door.t < earliest:
         door.problem(
@@ -392,22 +296,16 @@ def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
         )
 
 
-def _check_complete(
-    door: Door, scenario: Scenario, measured: Measurement, soc: Floats, online: Flags
+def check_complete(
+    door: Door, scenario: Scenario, measured: Measurement, of_batteries: Mapping[str, Any]
 ) -> None:
     """Report readings that are missing and without which only a guard can do."""
     b = scenario.batteries
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
-    for i in np.flatnonzero(np.isnan(soc)):
+    for i in np.flatnonzero(np.isnan(of_batteries["soc"])):
         if b.id[i] not in given:
             cure = "Give the state of charge of every battery."
             door.problem("soc", "is missing", cure, of=b.id[i])
-    for i in np.flatnonzero(~online):
+    for i in np.flatnonzero(~of_batteries["online"]):
         message = "needs a guard, which plans without the battery"
         door.problem("online", message, "Leave RunOptions.guard as it is.", False, b.id[i])
-
-
-def _with_row(series: Floats, t: int, row: Floats) -> Floats:
-    changed = series.copy()
-    changed[t] = row
-    return changed

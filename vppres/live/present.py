@@ -18,11 +18,24 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.kind import Moment, UnitsNow
-from vppres.kinds.table import parts, units_of
-from vppres.live.measurement import Seen
+from vppres.kinds.table import TABLES, parts, units_of
+from vppres.live.door import HOUR, Door
+from vppres.live.measurement import (
+    Measurement,
+    check_complete,
+    check_order,
+    moment_at,
+    named,
+    read_batteries,
+    read_grid,
+    read_kinds,
+    read_overrides,
+    read_switches,
+    reading,
+)
 from vppres.live.past import Past
+from vppres.live.ranges import ranges_of
 from vppres.plant.plant import BatteryState
 from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.scenario import Scenario
@@ -37,13 +50,6 @@ class GivenFirst:
     load: Flags
     pv: Flags
 
-    @classmethod
-    def of(cls, own: DayForecasts, scenario: Scenario, seen: Seen) -> DayForecasts:
-        """The forecaster's alone where there is no other provider."""
-        if not (seen.foretold_load.any() or seen.foretold_pv.any()):
-            return own
-        return cls(own, scenario, seen.foretold_load, seen.foretold_pv)
-
     def at(self, t0: int, steps: range) -> Forecast:
         """Forecast at the beginning of step ``t0``."""
         found = self.own.at(t0, steps)
@@ -57,130 +63,144 @@ class GivenFirst:
 
 @dataclass(frozen=True, eq=False)
 class Present:
-    """One step between what was measured and what its set-points should lead to.
+    """One step between what was measured and what its set-points should lead to."""
 
-    ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
-    the first; the decision may rest on all that are ``ahead``. Lines and ties that are ``closed``,
-    (E,), have no loop; ``left_open`` says why others are not. ``ends``: what is known ends
-    with the window. Duties and the units of each kind are those of its beginning.
-    """
-
-    t: int
-    seen: Seen
-    ahead: Scenario
+    #: All that is measured and expected, NaN where a reading is missing; outages as the site's
+    #: series have them. Duties and the units of each kind are those of the step's beginning.
+    known: Observation
+    #: The site in the steps of the window, with what was expected and measured in its place.
+    scenario: Scenario
+    ahead: Scenario  #: likewise, in all steps that the decision may rest on
+    forecasts: DayForecasts
     beside: Beside
-    ends: bool
     past: Past
-    switching: SwitchingState
     kinds: dict[str, UnitsNow]
     grid_seen: GridSeen
     options: RunOptions
-    past_days: dict[str, Any]
-    closed: Flags
-    left_open: tuple[str, ...]
+    closed: Flags  #: lines and ties that are closed, without a loop, (E,)
+    connected: Flags  #: customers that can be supplied at all, (C,)
+    #: Readings that are missing, frozen or of no device, and switches left open, in words.
+    estimated: tuple[str, ...]
 
     @classmethod
     def of(
         cls,
+        measured: Measurement,
+        site: Scenario,
         t: int,
-        everything: Seen,
-        known: Scenario,
         window: range,
         ahead: range,
         past: Past,
         options: RunOptions,
         past_days: dict[str, Any],
+        earliest: int,
     ) -> Present:
-        """The step of a measurement, which is laid over everything that is ``known``.
+        """The step of a measurement, which is laid over all that is known of the ``site``.
 
-        Rows of the ``window`` are forecast, the decision may rest on those ``ahead`` in any way.
+        ``t`` counts from the controller's first step. Rows of the ``window`` are forecast, the
+        decision may rest on those ``ahead`` in any way. Nothing of what is measured is trusted: a
+        guard estimates what is missing, otherwise it is refused. ``earliest`` is the first row
+        that can still be decided.
+
+        Raises
+        ------
+        InputError
+            With every value that does not fit the scenario, in the order of the readings.
         """
-        beyond, seen = everything.window(ahead), everything.window(window)
-        now = seen.scenario
-        row, at_h = everything.t, t * now.grid.dt_h + seen.elapsed_h
-        served = np.ones(len(now.customers), dtype=bool) if past.served is None else past.served
-        moment = Moment(known, row, served, at_h, now)
+        c, pv, b = site.customers, site.pv, site.batteries
+        row = window.start
+        with reading(measured):
+            door = Door(site.grid, measured.time, options.guard, ranges=ranges_of(site))
+            check_order(door, measured, earliest)
+            load_kw = door.table("load_kw", measured.load_kw, c.id, site.load_kw)
+            pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, site.pv_kw)
+            of_grid = read_grid(door, site, measured)
+            of_batteries = read_batteries(door, b, measured)
+            import_kw = door.number("import_kw", measured.import_kw)
+            connected = door.flags("connected", measured.connected, c.id)
+            dimmable = door.flags("dimmable", measured.dimmable, c.id)
+            switches = read_switches(door, measured.closed, site.switches.id)
+            unknown = np.full(site.grid.n_steps, np.nan)
+            announced_kw = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+            moment = moment_at(door, measured)
+            elapsed_h = (moment - door.begun) / HOUR
+            soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, moment)
+            told = read_overrides(door, measured.ordered_kw, b.id, moment)
+            if not options.guard:
+                check_complete(door, site, measured, of_batteries)
+            others = measured.foretold or {}
+            foretold = named(c.id, others.get("load_kw", ())), named(pv.id, others.get("pv_kw", ()))
+            laid, of_kinds = read_kinds(door, site, measured, moment, past.kinds)
+            door.finish()
+        pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
+        laid = replace(
+            laid,
+            load_kw=np.where(np.isnan(load_kw), site.load_kw, load_kw) * connected,
+            pv_kw=np.where(np.isnan(pv_kw), site.pv_kw, pv_kw),
+            **of_grid,
+        )
+        beyond, now = (_to_come(laid, rows) for rows in (ahead, window))
+        beyond = replace(beyond, history=past.history)
+        forecasts = GivenFirst(forecasts_of(beyond, options, ForecastErrors()), beyond, *foretold)
+        forecast = forecasts.at(0, range(now.grid.n_steps))
+        served = np.ones(len(c), dtype=bool) if past.served is None else past.served
+        at = Moment(site, row, served, t * now.grid.dt_h + elapsed_h, now)
         live = parts("live")
+        kinds = {
+            kind: live[kind].now(at, of_kinds[kind], past.kinds.get(kind)) for kind in units_of(now)
+        }
         branches = Branches.of(now)
-        read = everything.closed if now.follows_switches else {}
         out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
+        read = switches if now.follows_switches else {}
         closed, left_open = branches.with_states(read, past.closed, out)
-        return cls(
-            t=t,
-            seen=seen,
-            ahead=replace(beyond.scenario, history=past.history),
-            beside=Beside(known.price_gbp_per_kwh[: everything.t], beyond.announced_kw),
-            ends=window.stop == known.grid.n_steps,
-            past=past,
+        if not options.guard:
+            of_batteries["soc"] = np.clip(of_batteries["soc"], b.soc_min, b.soc_max)
+        known = Observation(
+            t,
+            replace(  # it begins with what was measured; who is cut off takes nothing
+                forecast,
+                load_kw=_first_row(
+                    forecast.load_kw * connected, np.where(connected, load_kw[row], 0.0)
+                ),
+                pv_kw=_first_row(forecast.pv_kw, pv_kw[row]),
+            ),
             switching=past.switching_at(t),
-            kinds={
-                kind: live[kind].now(moment, seen.kinds[kind], past.kinds.get(kind))
-                for kind in units_of(now)
-            },
+            owed=past.owed_at(t),
+            **of_batteries,
+            operating_point=past.operating_point,
+            import_kw=import_kw,
+            served=past.served,
+            ahead=_kinds_ahead(now, kinds, past_days),
+            terminal=Terminal.of(options.soc_end, forecast, ends=window.stop == site.grid.n_steps),
+            elapsed_h=elapsed_h,
+            soc_age_h=soc_age_h,
+            told=told,
+            profile_kw=site.load_kw[row] * connected,
+            profile_pv_kw=site.pv_kw[row],
+            flexible_kw=None if past.t < 0 else sum((k.taken_kw for k in kinds.values()), 0.0),
+            flexible_off_kw=sum((k.taken_off_kw for k in kinds.values()), 0.0),
+            closed=closed,
+            whole=None if dimmable.all() else ~dimmable,
+        )
+        words = (word for units in kinds.values() for word in units.estimated)
+        return cls(
+            known,
+            scenario=now,
+            ahead=beyond,
+            forecasts=forecasts,
+            beside=Beside(site.price_gbp_per_kwh[:row], announced_kw[ahead.start : ahead.stop]),
+            past=past,
+            kinds=kinds,
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
-            past_days=past_days,
             closed=closed,
-            left_open=left_open,
+            connected=connected,
+            estimated=(*door.left_out, *left_open, *words),
         )
 
     def observation(self, view: OutageView) -> Observation:
         """Observation of the controller, of outages by way of ``view``."""
-        forecasts = GivenFirst.of(
-            forecasts_of(self.ahead, self.options, ForecastErrors()), self.ahead, self.seen
-        )
-        measured = self._measured(forecasts)
-        return view.told(measured, self.grid_seen, self.ahead, 0, forecasts, self.beside)
-
-    def _measured(self, forecasts: DayForecasts) -> Observation:
-        """Observation of the measurements, with the forecast of the window."""
-        seen = self.seen
-        forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))
-        b, kinds = seen.scenario.batteries, self.kinds.values()
-        return Observation(
-            self.t,
-            replace(  # it begins with what was measured; who is cut off takes nothing
-                forecast,
-                load_kw=_first_row(forecast.load_kw * seen.connected, seen.load_kw),
-                pv_kw=_first_row(forecast.pv_kw, seen.pv_kw),
-            ),
-            seen.soc if self.options.guard else np.clip(seen.soc, b.soc_min, b.soc_max),
-            seen.eta_charge,
-            seen.eta_discharge,
-            self.switching,
-            self.past.owed_at(self.t),
-            seen.online,
-            operating_point=self.past.operating_point,
-            battery_kw=seen.battery_kw,
-            import_kw=seen.import_kw,
-            served=self.past.served,
-            ahead=self._ahead(),
-            terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
-            elapsed_h=seen.elapsed_h,
-            soc_age_h=seen.soc_age_h,
-            told=seen.told,
-            profile_kw=seen.profile_kw,
-            profile_pv_kw=seen.profile_pv_kw,
-            flexible_kw=None if self.past.t < 0 else sum((k.taken_kw for k in kinds), 0.0),
-            flexible_off_kw=sum((k.taken_off_kw for k in kinds), 0.0),
-            closed=self.closed,
-            whole=None if seen.dimmable.all() else ~seen.dimmable,
-        )
-
-    def _ahead(self) -> KindsAhead:
-        """The window of each kind, without units that are out."""
-        day = self.seen.scenario
-        found = KindsAhead.of(day, range(day.grid.n_steps), self._states(), self.past_days)
-        return KindsAhead({kind: self.kinds[kind].able(of) for kind, of in found.by_kind.items()})
-
-    def _states(self) -> dict[str, Any]:
-        """State of each kind at the beginning of the step."""
-        return {kind: now.state for kind, now in self.kinds.items()}
-
-    @property
-    def estimated(self) -> tuple[str, ...]:
-        """Readings of all kinds that are missing or frozen, and switches left out, in words."""
-        return (*self.left_open, *(words for now in self.kinds.values() for words in now.estimated))
+        return view.told(self.known, self.grid_seen, self.ahead, 0, self.forecasts, self.beside)
 
     def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.
@@ -188,7 +208,12 @@ class Present:
         Its first step carries out the decision. Batteries that the decision ``estimated`` to be out
         have no power: they form no grid.
         """
-        scenario = self.seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
+        of_step = known.forecast
+        scenario = replace(
+            self.scenario,
+            load_kw=_first_row(self.scenario.load_kw, of_step.load_kw[0]),
+            pv_kw=_first_row(self.scenario.pv_kw, of_step.pv_kw[0]),
+        )
         batteries = scenario.batteries
         out = batteries_out(estimated, batteries.id)
         if out.any():
@@ -201,27 +226,26 @@ class Present:
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
         day.outage_messages = known.outage_messages
-        day.plant.switching = self.switching
-        day.plant.owed = self.past.owed_at(self.t)
+        day.plant.switching = self.known.switching
+        day.plant.owed = self.known.owed
         if np.array_equal(self.closed, self.past.closed):
             day.ac.go_on_from(self.past.voltages)
-        day.plant.begin_with(self._states())
+        day.plant.begin_with(_states(self.kinds))
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
         """State of a :meth:`day` after its first step, from which the next step goes on."""
-        believed = day.scenario
-        seen = self.seen
-        unread_load = np.isnan(seen.load_kw) | ~seen.connected
+        believed, known = day.scenario, self.known
+        load_kw, pv_kw = known.forecast.load_kw[0], known.forecast.pv_kw[0]
         return Past(
-            t=self.t,
+            t=known.t0,
             operating_point=day.operating_point,
             switching=day.plant.switching,
             served=record.customers["served"],
             history=self.past.with_measured(  # what was not read, or cannot be, is NaN
                 believed.grid.times[0],
-                np.where(unread_load, np.nan, believed.load_kw[0]),
-                np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
+                np.where(np.isnan(load_kw) | ~self.connected, np.nan, believed.load_kw[0]),
+                np.where(np.isnan(pv_kw), np.nan, believed.pv_kw[0]),
             ),
             voltages=day.ac.found,
             closed=self.closed,
@@ -232,6 +256,26 @@ class Present:
                 for kind, now in self.kinds.items()
             },
         )
+
+
+def _states(kinds: dict[str, UnitsNow]) -> dict[str, Any]:
+    """State of each kind at the beginning of the step."""
+    return {kind: now.state for kind, now in kinds.items()}
+
+
+def _kinds_ahead(
+    day: Scenario, kinds: dict[str, UnitsNow], past_days: dict[str, Any]
+) -> KindsAhead:
+    """The window of each kind, without units that are out."""
+    found = KindsAhead.of(day, range(day.grid.n_steps), _states(kinds), past_days)
+    return KindsAhead({kind: kinds[kind].able(of) for kind, of in found.by_kind.items()})
+
+
+def _to_come(scenario: Scenario, rows: range) -> Scenario:
+    """The scenario in some steps alone, of which the first is the present one."""
+    found = scenario.between(rows.start, rows.stop)
+    now = found.grid.start
+    return replace(found, **{name: getattr(found, name).to_come(now) for name in TABLES})
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:
