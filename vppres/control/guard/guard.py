@@ -28,7 +28,7 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with, w
 from vppres.control.guard.relax import relaxed_answers
 from vppres.control.kept import as_planned, by_rule
 from vppres.control.phased_rule import carried_by_phase
-from vppres.control.planner import solve_info
+from vppres.control.planner import levels_of
 from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry
 from vppres.control.step_state import StepState
@@ -189,7 +189,7 @@ class GuardedController:
             decision = Decision(
                 dispatch,
                 0,
-                solve_info(site, solution, 0),
+                replace(solution, levels=levels_of(site, solution)),
                 fallback=name,
                 fallback_reason=f"{_with_failures(reason, failed)}; {words}",
             )
