@@ -49,8 +49,6 @@ class GuardedController:
     ----------
     inner : Decider
         The wrapped controller of the whole fleet.
-    known : Observation or None
-        The estimate of the last decision.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
@@ -66,7 +64,6 @@ class GuardedController:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
-        self.known: Observation | None = None
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
@@ -91,7 +88,6 @@ class GuardedController:
         if self.options.protect_critical and not known.forecast.in_parts_now:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
-        self.known = known
         return replace(decision, estimated=known.estimated, seen=known)
 
     def _without_unlikely_demands(self, known: Observation) -> Observation:
