@@ -130,10 +130,12 @@ def _play(
     critical = drawn.scenario.customers.tier == drawn.scenario.tiers[0]
     try:
         for t in range(drawn.scenario.grid.n_steps):
-            day.step(guard, t)
-            served = day.recorder.records[-1].customers["served"]
-            if guard.known is not None and not served[critical].all():
-                to_judge.append(StepToJudge(t, guard.known, served))
+            decision = guard.decide(day.observe(guard, t))
+            record = day.settle(t, injector.actuate(t, decision))
+            day.recorder.add(record)
+            served = record.customers["served"]
+            if decision.seen is not None and not served[critical].all():
+                to_judge.append(StepToJudge(t, decision.seen, served))
     except Exception as error:  # the campaign counts what the guard let through
         return day, to_judge, f"{type(error).__name__}: {error}"
     return day, to_judge, ""

@@ -34,8 +34,8 @@ from experiments.report import machine
 from experiments.studies.random_days import small_day
 from experiments.studies.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from experiments.studies.shedding import Judge
+from experiments.studies.watched import guard_of
 from experiments.studies.within import Within
-from vppres.control.guard.guard import GuardedController
 from vppres.core.arrays import Floats
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
@@ -366,8 +366,7 @@ class Player:
         for shed in self.judge.found[before:]:
             if shed.avoidable:
                 self.found.avoidable.append(f"{when}: {asdict(shed)}")
-        guard = self.runner._controller._decider
-        assert isinstance(guard, GuardedController) and guard.known is not None
+        _, known = guard_of(self.runner._controller)
         b = self.come.batteries
         since_h = (pd.Timestamp(when) - pd.Timestamp(when).floor(QUARTER)) / pd.Timedelta("1h")
         given = SOC_APART + since_h * b.p_max_kw / (b.eta_discharge * b.energy_kwh)
@@ -375,8 +374,8 @@ class Player:
             words = " ".join(plan["estimated"])
             if name not in self._fresh or f"soc {name} " in words or f"battery {name} " in words:
                 continue
-            read, taken = self._fresh[name], float(guard.known.soc[i])
-            if not guard.known.online[i] or taken < read - given[i]:
+            read, taken = self._fresh[name], float(known.soc[i])
+            if not known.online[i] or taken < read - given[i]:
                 found = f"{when}: {name} {read:.3f} read, {taken:.3f} taken"
                 self.found.disbelieved.append(found)
 

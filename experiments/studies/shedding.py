@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from experiments.studies.seeds import PATIENT
-from vppres.control.guard.guard import GuardedController
+from experiments.studies.watched import guard_of
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
@@ -72,9 +72,7 @@ class Judge:
 
     def _least(self, first: Flags, steps: int) -> int:
         """Fewest customers of the first tier times steps that must be off."""
-        guard = self.runner._controller._decider
-        assert isinstance(guard, GuardedController) and guard.known is not None
-        known = guard.known
+        guard, known = guard_of(self.runner._controller)
         key = known.online.tobytes() + first.tobytes()
         if key not in self._solvers:
             site = _first_alone(site_with(guard.site, known.online), first)

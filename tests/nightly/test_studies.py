@@ -46,14 +46,14 @@ def test_judge_finds_a_critical_customer_that_was_shed_without_need() -> None:
     assert first.any()
     options = RunOptions(horizon_h=1.0)
     guard, day = make_controller(drawn.scenario, options), Day(drawn.scenario, options)
-    day.step(guard, 0)
+    known = guard.decide(day.observe(guard, 0)).seen
     assert not drawn.scenario.outage[0]
     nobody = np.zeros(len(first), dtype=bool)
     whole = drawn.scenario.customers.weight[first].sum()
-    assert judge(drawn, [StepToJudge(0, guard.known, nobody)]) == [
+    assert judge(drawn, [StepToJudge(0, known, nobody)]) == [
         f"step 0: 0 of the critical weight served, {whole:g} possible; all measured"
     ]
-    assert judge(drawn, [StepToJudge(0, guard.known, first)]) == []
+    assert judge(drawn, [StepToJudge(0, known, first)]) == []
 
 
 def test_campaign_day_is_finished_and_counted(

@@ -28,26 +28,50 @@ def batteries_out(estimated: str, names: Iterable[object]) -> Flags:
     return np.array([OUT.format(name) in said for name in names], dtype=bool)
 
 
-@dataclass(frozen=True)
-class SolveInfo:
-    """Figures of a decision's solution, for the record."""
+LEAST_OBJECTIVE = 0.01
+"""Gaps are relative to the objective, or to this many weighted customer hours where it is smaller:
+half of a low-priority customer for an hour, below which no objective differs from zero."""
 
+
+@dataclass(frozen=True, eq=False)
+class SolveInfo:
+    """How a dispatch was found, and what is proven about it; NaN where nothing was solved."""
+
+    #: Paper's objective F of the dispatch and a proven upper bound on it.
     objective: float = np.nan
     bound: float = np.nan
-    gap: float = np.nan
-    gap_abs: float = np.nan
-    gap_service: float = np.nan
-    gap_cost_gbp: float = np.nan
     status: str = "not_solved"
+    #: How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
+    #: hours.
+    service_gap: float = np.nan
+    #: How much cheaper the same service could at most be had, over all supply schedules, in GBP.
+    cost_gap_gbp: float = np.nan
+    #: Wall time of the window in seconds, and the part of it inside solvers.
     solve_s: float = 0.0
     solver_s: float = 0.0
-    compilations: int = 0
-    stages: str = ""
+    #: What was solved, in order, with its solver and, if not optimal, its status:
+    #: ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
+    stages: tuple[str, ...] = ()
+    #: Linearisations that the dispatch took; with more than one, objective, bound and gaps are
+    #: those of the window as it was linearised when the supply schedule was decided.
     passes: int = 1
-    switching_relaxed: bool = False
-    levels: str = ""
-    moved_kw: float = np.nan
-    stored_value_gbp_per_kwh: float = np.nan
+    compilations: int = 0  #: problems that the solver had compiled by then
+    switching_relaxed: bool = False  #: whether duties of the past were dropped for an answer
+    levels: str = ""  #: units that each tier gets in strict order, and could at most
+    moved_kw: float = np.nan  #: by how much batteries leave the plan before
+    stored_value_gbp_per_kwh: float = np.nan  #: what one more stored kWh is worth later
+
+    @property
+    def gap_abs(self) -> float:
+        """Certified absolute gap."""
+        return max(self.bound - self.objective, 0.0)
+
+    @property
+    def gap(self) -> float:
+        """Certified gap relative to the objective."""
+        if np.isinf(self.bound):
+            return np.inf
+        return self.gap_abs / max(abs(self.objective), LEAST_OBJECTIVE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -177,14 +177,9 @@ class ConvergedPlanner:
         reached = self.linearisation.closer(data, solution.dispatch, points, passes)
         carried = bool(points.converged[lit_steps(data)].all())
         converged = replace(
-            decided,
+            decided.carried_by(solution),
             status=decided.status if carried else Status.INACCURATE,
-            dispatch=solution.dispatch,
-            terms=solution.terms,
-            loss_kw=solution.loss_kw,
             passes=passes,
-            solve_s=solution.solve_s,
-            solver_s=solution.solver_s,
         )
         return data, reached, converged
 
@@ -243,16 +238,8 @@ class ConvergedPlanner:
         )
         if found is None or (spent_kw(site, data, found.dispatch) > SPENT_KW).any():
             return data, solution
-        kept = replace(
-            found.after(solution),
-            objective=solution.objective,
-            bound=solution.bound,
-            status=solution.status,
-            service_gap=solution.service_gap,
-            cost_gap_gbp=solution.cost_gap_gbp,
-            stages=(*solution.stages, "unspent", *found.stages),
-        )
-        return limited, kept
+        stages = (*solution.stages, "unspent", *found.stages)
+        return limited, replace(solution.carried_by(found.after(solution)), stages=stages)
 
     def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
         """Island steps that no supply schedule has a dispatch for: for capacitors, for example.

@@ -13,7 +13,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.terminal import Terminal
 from vppres.control.guard.check import worst_words
-from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.control.planner import OnePass, Planner, decided, plan_with_rules
 from vppres.control.remembered import PART
 from vppres.core.arrays import Floats
 from vppres.kinds.batteries.physics import BatteriesAhead, power_beyond_kw
@@ -97,7 +97,7 @@ class FullHorizonController:
             self.loss_kw = solution.loss_kw
             self.first = observation.t0
             self.guessed = observation.open_ended
-            info = solve_info(self.solver.site, solution, self.solver.compilations)
+            info = decided(self.solver, solution).info
         row = observation.t0 - self.first
         now = window.first(1).for_service(self.plan.served[row : row + 1])
         plan = self._within_energy(row, observation) if self.physical else self.plan
@@ -130,9 +130,8 @@ class FullHorizonController:
 
     def _solve_step_alone(self, observation: Observation, reason: str) -> Decision:
         """Optimise the step alone (H = 0) with actual values."""
-        solution, relaxed = plan_with_rules(self.planner, observation, 1)
-        info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
-        return Decision(solution.dispatch, 0, info, True, reason)
+        decision = decided(self.solver, plan_with_rules(self.planner, observation, 1))
+        return replace(decision, corrected=True, reason=reason)
 
     def _step_without_disconnections(self, observation: Observation, row: int) -> Decision:
         """The step alone, with those who would be off for an outage that is only likely, or over.

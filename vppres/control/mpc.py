@@ -13,7 +13,7 @@ from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation, SupplyTurns
 from vppres.contract.operating_point import Centre
 from vppres.contract.stored_value import StoredValue
-from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
+from vppres.control.planner import OnePass, Planner, decided, plan_with_rules
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
@@ -65,21 +65,22 @@ class MPCController:
         before = self._planned_moves(observation)
         if self.move_weight > 0:
             observation = replace(observation, moves=before)
-        solution, relaxed = self._planned(observation)
+        solution = self._planned(observation)
         plan = solution.dispatch
         moved_kw = np.nan
         if before is not None:
             now_kw = plan.charge_kw[0] - plan.discharge_kw[0]
             moved_kw = float(np.abs(now_kw - before.planned_kw[0]).sum())
         self._last = observation.t0, plan
-        info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         worth = np.nan
         value = observation.stored_value
         if value is not None:
             worth = value.marginal_gbp_per_kwh(self._left_kwh(value, observation, solution))
-        return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
+        return decided(
+            self.solver, replace(solution, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth)
+        )
 
-    def _planned(self, observation: Observation) -> tuple[WindowSolution, bool]:
+    def _planned(self, observation: Observation) -> WindowSolution:
         """The plan of a window; no forecast takes a customer off the grid in its first step.
 
         For an outage that is only likely no customer is switched off that the present step alone
@@ -87,18 +88,19 @@ class MPCController:
         """
         found = self._planned_freely(observation)
         if observation.turns is not None:
-            return self._plan_with_turns(observation, observation.turns, found[0]), found[1]
-        served = found[0].dispatch.served[0]
+            turned = self._plan_with_turns(observation, observation.turns, found)
+            return replace(turned, switching_relaxed=found.switching_relaxed)
+        served = found.dispatch.served[0]
         connected = observation.forecast.grid_limit_kw[0] > 0.0
         if served.all() or not (connected and observation.guessed):
             return found
-        alone, _ = plan_with_rules(self.planner, observation, 1)
+        alone = plan_with_rules(self.planner, observation, 1)
         kept_on = np.asarray(alone.dispatch.served[:1])
         if not (kept_on & ~served).any():
             return found
         return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
 
-    def _planned_freely(self, observation: Observation) -> tuple[WindowSolution, bool]:
+    def _planned_freely(self, observation: Observation) -> WindowSolution:
         """The plan of a window, which loses no customer of the plan before to rounding.
 
         That one charged no more than its last customer needs. So a state of charge that is as it
@@ -106,13 +108,13 @@ class MPCController:
         """
         found = plan_with_rules(self.planner, observation)
         foreseen = self._foreseen_on(observation)
-        if foreseen is None or np.array_equal(foreseen, found[0].dispatch.served[0]):
+        if foreseen is None or np.array_equal(foreseen, found.dispatch.served[0]):
             return found
         soc = np.minimum(observation.soc + SOC_ROUNDING, self.solver.site.batteries.soc_max)
         sound = plan_with_rules(self.planner, replace(observation, soc=soc))
         site = self.solver.site
         least = 0.5 * float(site.customers.weight.min()) * site.dt_h
-        return sound if sound[0].terms.f1 - found[0].terms.f1 > least else found
+        return sound if sound.terms.f1 - found.terms.f1 > least else found
 
     def _foreseen_on(self, observation: Observation) -> Flags | None:
         """Customers on now in the plan before, (C,); None if the batteries have left it."""

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vppres.contract.decision import SolveInfo
+from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.errors import InfeasibleError
@@ -22,17 +22,12 @@ from vppres.solve.result import WindowSolution
 
 def plan_with_rules(
     planner: Planner, observation: Observation, n_steps: int | None = None
-) -> tuple[WindowSolution, bool]:
+) -> WindowSolution:
     """Plan a window by its rules, or without the duties of the past where these have no answer.
 
     Forecast errors can make it impossible to supply customers restored lately. Then no customer has
     to be supplied, every customer may be switched off, and no generating set has to stay on.
     Minimum times off stay, and so does all that the window itself begins.
-
-    Returns
-    -------
-    WindowSolution, bool
-        The answer, and whether duties were dropped.
 
     Raises
     ------
@@ -40,7 +35,7 @@ def plan_with_rules(
         If there is no answer without the duties either.
     """
     try:
-        return planner.plan(observation, n_steps), False
+        return planner.plan(observation, n_steps)
     except InfeasibleError:
         past, ahead = observation.switching, observation.ahead
         if not past.matters and not ahead.switched:
@@ -50,7 +45,7 @@ def plan_with_rules(
             switching=replace(past, duties=False),
             ahead=ahead.without_duties(),
         )
-        return planner.plan(freed, n_steps), True
+        return replace(planner.plan(freed, n_steps), switching_relaxed=True)
 
 
 class Planner(Protocol):
@@ -74,26 +69,11 @@ class OnePass:
         return self.solver.solve(window, observation.within_s)
 
 
-def solve_info(
-    site: Site, solution: WindowSolution, compilations: int, switching_relaxed: bool = False
-) -> SolveInfo:
-    """Figures of a window's solution, for the record of its decision."""
-    return SolveInfo(
-        objective=solution.objective,
-        bound=solution.bound,
-        gap=solution.gap,
-        gap_abs=solution.gap_abs,
-        gap_service=solution.service_gap,
-        gap_cost_gbp=solution.cost_gap_gbp,
-        status=str(solution.status),
-        solve_s=solution.solve_s,
-        solver_s=solution.solver_s,
-        compilations=compilations,
-        stages=" ".join(solution.stages),
-        passes=solution.passes,
-        switching_relaxed=switching_relaxed,
-        levels=levels_of(site, solution),
-    )
+def decided(solver: WindowSolver, solution: WindowSolution) -> Decision:
+    """The first step of a window's solution."""
+    levels = levels_of(solver.site, solution)
+    info = replace(solution, compilations=solver.compilations, levels=levels)
+    return Decision(solution.dispatch, 0, info)
 
 
 def levels_of(site: Site, solution: WindowSolution) -> str:

@@ -41,7 +41,7 @@ from vppres.scenario.faults import OutOfService
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import LEAST_OBJECTIVE, SolveLimits, Status
+from vppres.solve.result import SolveLimits, Status
 
 WHOLE = 1.0 - 1e-6
 """Share of its demand that counts as all of it."""
@@ -524,12 +524,10 @@ class Search:
             info = replace(info, solve_s=self.deadline.spent_s)
         bound = max(info.bound, self.bound + price)
         if bound > info.bound and np.isfinite(info.objective):
-            gap = max(bound - info.objective, 0.0)
-            share = gap / max(abs(info.objective), LEAST_OBJECTIVE) if np.isfinite(gap) else np.inf
             status = info.status
             if status == Status.OPTIMAL and not self._limits.met(bound, info.objective):
-                status = str(Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN)
-            info = replace(info, bound=bound, gap_abs=gap, gap=share, status=status)
+                status = Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN
+            info = replace(info, bound=bound, status=status)
         return replace(decision, info=info)
 
 

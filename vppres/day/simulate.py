@@ -510,7 +510,7 @@ def _of_solution(decision: Decision, done: Settled) -> dict[str, Any]:
         "objective": info.objective,
         "bound": info.bound,
         "gap": info.gap,
-        "status": Status.BLACKED_OUT if refuted else info.status,
+        "status": str(Status.BLACKED_OUT if refuted else info.status),
         "solve_s": info.solve_s,
         "corrected": decision.corrected,
         "correction_reason": decision.reason,
@@ -524,10 +524,10 @@ def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
     """Gaps level by level, how the answer was found, and what the plant could not follow."""
     return {
         "gap_abs": info.gap_abs,
-        "gap_service": info.gap_service,
-        "gap_cost_gbp": info.gap_cost_gbp,
+        "gap_service": info.service_gap,
+        "gap_cost_gbp": info.cost_gap_gbp,
         "solver_s": info.solver_s,
-        "stages": info.stages,
+        "stages": " ".join(info.stages),
         "compilations": float(info.compilations),
         "clipped_kw": clipped_kw if clipped_kw > CLIP_TOLERANCE_KW else 0.0,
         "switching_relaxed": info.switching_relaxed,

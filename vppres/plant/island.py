@@ -88,9 +88,10 @@ class Settled:
 
 @dataclass(frozen=True, eq=False)
 class PartOfPlant:
-    """Buses, places and devices of a part of the feeder; (n,) of each kind of unit."""
+    """Buses, lines, places and devices of a part of the feeder; (n,) of each kind of unit."""
 
     buses: Flags
+    lines: Flags
     places: Flags
     customers: Flags
     pv: Flags
@@ -98,14 +99,14 @@ class PartOfPlant:
     units: Mapping[str, Flags]
 
     @classmethod
-    def of(cls, places: Places, buses: Flags) -> PartOfPlant:
-        """Devices at these buses, (N,)."""
+    def of(cls, places: Places, buses: Flags, lines: Flags) -> PartOfPlant:
+        """Devices at these buses, (N,), which lines join, (L,)."""
         inside = buses[places.bus]
         units = {kind: inside[at] for kind, at in places.units.items()}
         customers, pv, batteries = (
             inside[at] for at in (places.customers, places.pv, places.batteries)
         )
-        return cls(buses, inside, customers, pv, batteries, units)
+        return cls(buses, lines, inside, customers, pv, batteries, units)
 
 
 @dataclass(frozen=True, eq=False)

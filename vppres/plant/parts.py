@@ -6,7 +6,7 @@ the grid goes on as with grid, each other one is an island of its own former, or
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
 from typing import Any
 
@@ -23,14 +23,8 @@ from vppres.plant.plant import BatteryState, Plant, Realised
 from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within
 
-
-@dataclass(frozen=True, eq=False)
-class SettledPart:
-    """A part of the feeder and its step; flows and devices outside of it mean nothing."""
-
-    inside: PartOfPlant
-    lines: Flags
-    done: Settled
+SettledPart = tuple[PartOfPlant, Settled]
+"""A part of the feeder and its step; flows and devices outside of it mean nothing."""
 
 
 class PlantInParts:
@@ -78,24 +72,21 @@ class PlantInParts:
         """The part of some buses."""
         scenario = self.plant.scenario
         number = int(np.argmax(buses))
-        lines = buses[1:] & ~out.lines[0]
-        inside = PartOfPlant.of(self.plant.places, buses)
+        inside = PartOfPlant.of(self.plant.places, buses, buses[1:] & ~out.lines[0])
         own = replace(decision, dispatch=self._of_part(t, decision, inside))
         if number == 0 and not held:
-            flow = self._flow(buses, lines, bool(self.plant.scenario.outage[t]))
-            return SettledPart(inside, lines, realise(self.plant, flow, t, own, state))
-        flow = self._flow(buses, lines, island=True)
+            flow = self._flow(inside, bool(self.plant.scenario.outage[t]))
+            return inside, realise(self.plant, flow, t, own, state)
+        flow = self._flow(inside, island=True)
         planned = self.plant.apply(t, own, state)
         bus_out = self.network.buses[buses & out.buses[0]]
         if len(bus_out):
-            done = IslandPlant(self.plant, flow, inside).dark(
-                t, planned, state, f"bus {bus_out[0]} is out"
-            )
-            return SettledPart(inside, lines, done)
+            island = IslandPlant(self.plant, flow, inside)
+            return inside, island.dark(t, planned, state, f"bus {bus_out[0]} is out")
         where = f"behind {scenario.behind(number, t)}" if number else "at the grid's bus"
         island = IslandPlant(self.plant, flow, inside, where)
         island.formers = formers_within(scenario, inside.batteries) & online
-        return SettledPart(inside, lines, island.settle(t, planned, state))
+        return inside, island.settle(t, planned, state)
 
     def _of_part(self, t: int, decision: Decision, inside: PartOfPlant) -> Any:
         """The decision's dispatch without what is outside of a part."""
@@ -118,11 +109,11 @@ class PlantInParts:
             }
         return replace(plan, **changed)
 
-    def _flow(self, buses: Flags, lines: Flags, island: bool) -> PowerFlow:
+    def _flow(self, part: PartOfPlant, island: bool) -> PowerFlow:
         """Power flow of a part, made once."""
-        key = buses.tobytes(), lines.tobytes(), island
+        key = part.buses.tobytes(), part.lines.tobytes(), island
         if key not in self._flows:
-            self._flows[key] = flow_of_part(self.plant.scenario, buses, lines, island)
+            self._flows[key] = flow_of_part(self.plant.scenario, part.buses, part.lines, island)
         return self._flows[key]
 
 
@@ -135,21 +126,19 @@ def _in_row(values: Any, row: int, inside: Flags, outside: Any) -> Any:
 
 def _joined(parts: list[SettledPart], bus_of_node: Wholes) -> Settled:
     """The step of the whole feeder, whose voltages by phase are at these buses."""
-    first = parts[0].done
-    others = [part.done for part in parts[1:]]
-    every = [first, *others]
-    realised = reduce(_with_part, parts[1:], _with_part(first.realised, parts[0]))
+    every = [done for _, done in parts]
+    realised = reduce(_with_part, parts, every[0].realised)
     dark = [done.dark_reason for done in every]
     reasons = np.full(len(realised.served), "", dtype=object)
-    for part in parts:
-        reasons[part.inside.customers] = part.done.dark_reason
+    for inside, done in parts:
+        reasons[inside.customers] = done.dark_reason
     formed = [done for done in every if done.former]
     failed = [done.ac_failed for done in every if done.ac_failed]
     return Settled(
         realised,
         _joined_flow(parts, bus_of_node),
-        sum((done.mismatch_kw for done in others), start=first.mismatch_kw),
-        np.any([part.done.shed & part.inside.customers for part in parts], axis=0),
+        sum((done.mismatch_kw for done in every[1:]), start=every[0].mismatch_kw),
+        np.any([done.shed & inside.customers for inside, done in parts], axis=0),
         "; ".join(dict.fromkeys(dark)) if all(dark) else "",
         "; ".join(failed),
         sum(done.by_set_kw for done in every),
@@ -161,7 +150,7 @@ def _joined(parts: list[SettledPart], bus_of_node: Wholes) -> Settled:
 
 def _with_part(so_far: Realised, part: SettledPart) -> Realised:
     """A step whose devices in a part did what they did there."""
-    own, inside = part.done.realised, part.inside
+    inside, own = part[0], part[1].realised
     of_items = {
         "served": inside.customers,
         "load_kw": inside.customers,
@@ -188,25 +177,26 @@ def _with_part(so_far: Realised, part: SettledPart) -> Realised:
 
 def _joined_flow(parts: list[SettledPart], bus_of_node: Wholes) -> ACResult:
     """Voltages and flows of all parts; NaN and 0 in dark ones, and over lines that are out."""
-    first = parts[0].done.ac
-    of_buses = [part.inside.buses for part in parts]
+    flows = [done.ac for _, done in parts]
+    first = flows[0]
+    of_buses = [inside.buses for inside, _ in parts]
     of_nodes = [buses[bus_of_node] for buses in of_buses]
-    of_lines = [part.lines for part in parts]
+    of_lines = [inside.lines for inside, _ in parts]
     places = {"v_pu": of_buses, "v_node_pu": of_nodes}
     places |= {name: of_lines for name in ("p_from_kw", "q_from_kvar", "p_to_kw", "q_to_kvar")}
     values: dict[str, Any] = {}
     for name, of_parts in places.items():
         found = np.zeros_like(getattr(first, name))
-        for part, which in zip(parts, of_parts, strict=True):
-            found[which] = getattr(part.done.ac, name)[which]
+        for ac, which in zip(flows, of_parts, strict=True):
+            found[which] = getattr(ac, name)[which]
         values[name] = found
-    lit = [part.done.ac for part in parts if np.isfinite(part.done.ac.loading)]
+    lit = [ac for ac in flows if np.isfinite(ac.loading)]
     if first.phases:
-        labels = np.array([part.done.ac.nodes for part in parts], dtype=object)
+        labels = np.array([ac.nodes for ac in flows], dtype=object)
         of_part = np.argmax(of_nodes, axis=0)
         own = labels[of_part, np.arange(len(of_part))].tolist()
         values["nodes"] = tuple((bus, phase) for bus, phase in own)
-        unbalance = np.array([part.done.ac.unbalance for part in parts])
+        unbalance = np.array([ac.unbalance for ac in flows])
         values["unbalance"] = float(np.fmax.reduce(unbalance))
     if lit:
         fullest = max(lit, key=lambda ac: ac.loading)
@@ -214,6 +204,6 @@ def _joined_flow(parts: list[SettledPart], bus_of_node: Wholes) -> ACResult:
     return replace(
         first,
         **values,
-        losses_kw=sum(part.done.ac.losses_kw for part in parts),
-        converged=all(part.done.ac.converged for part in parts),
+        losses_kw=sum(ac.losses_kw for ac in flows),
+        converged=all(ac.converged for ac in flows),
     )

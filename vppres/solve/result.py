@@ -5,8 +5,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, replace
 
-import numpy as np
-
+from vppres.contract.decision import LEAST_OBJECTIVE, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.core.errors import (
@@ -67,11 +66,6 @@ _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
         "was not solved before the time limit. Raise --time-limit, or use --method decomposed",
     ),
 }
-
-
-LEAST_OBJECTIVE = 0.01
-"""Gaps are relative to the objective, or to this many weighted customer hours where it is smaller:
-half of a low-priority customer for an hour, below which no objective differs from zero."""
 
 
 @dataclass(frozen=True)
@@ -135,48 +129,30 @@ class SolveLimits:
         return bound - objective <= self.gap_at(objective)
 
 
-@dataclass(frozen=True, eq=False)
-class WindowSolution:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WindowSolution(SolveInfo):
     """A window's dispatch and what is proven about it."""
 
     dispatch: Dispatch  #: feasible for the true problem within solver tolerances
     terms: Terms  #: objective terms of the dispatch
-    #: Paper's objective F of the dispatch and a proven upper bound on it.
-    objective: float
-    bound: float
     #: ``OPTIMAL`` if the gap is within the limits, otherwise ``TIME_LIMIT`` or ``GAP_OPEN``.
     status: Status
-    #: How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
-    #: hours.
-    service_gap: float
-    #: How much cheaper the same service could at most be had, over all supply schedules, in GBP.
-    cost_gap_gbp: float
-    #: Wall time of the window in seconds, and the part of it inside solvers.
-    solve_s: float
-    solver_s: float
-    #: What was solved, in order, with its solver and, if not optimal, its status:
-    #: ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
-    stages: tuple[str, ...] = ()
-    #: Linearisations that the dispatch took; with more than one, objective, bound and gaps are
-    #: those of the window as it was linearised when the supply schedule was decided.
-    passes: int = 1
     #: Losses that the dispatch pays for, (W,); None in the paper's mode, which has none.
     loss_kw: Floats | None = None
-
-    @property
-    def gap_abs(self) -> float:
-        """Certified absolute gap."""
-        return max(self.bound - self.objective, 0.0)
-
-    @property
-    def gap(self) -> float:
-        """Certified gap relative to the objective."""
-        if not np.isfinite(self.bound):
-            return np.inf
-        return self.gap_abs / max(abs(self.objective), LEAST_OBJECTIVE)
 
     def after(self, before: WindowSolution) -> WindowSolution:
         """Copy with the seconds of a solution before it added."""
         return replace(
             self, solve_s=before.solve_s + self.solve_s, solver_s=before.solver_s + self.solver_s
+        )
+
+    def carried_by(self, found: WindowSolution) -> WindowSolution:
+        """Copy with another dispatch of the same set, and the seconds until it was found."""
+        return replace(
+            self,
+            dispatch=found.dispatch,
+            terms=found.terms,
+            loss_kw=found.loss_kw,
+            solve_s=found.solve_s,
+            solver_s=found.solver_s,
         )

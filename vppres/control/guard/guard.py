@@ -28,7 +28,7 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with, w
 from vppres.control.guard.relax import relaxed_answers
 from vppres.control.kept import as_planned, by_rule
 from vppres.control.phased_rule import carried_by_phase
-from vppres.control.planner import solve_info
+from vppres.control.planner import levels_of
 from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry
 from vppres.control.step_state import StepState
@@ -49,8 +49,6 @@ class GuardedController:
     ----------
     inner : Decider
         The wrapped controller of the whole fleet.
-    known : Observation or None
-        The estimate of the last decision.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
@@ -66,7 +64,6 @@ class GuardedController:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
-        self.known: Observation | None = None
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
@@ -91,7 +88,6 @@ class GuardedController:
         if self.options.protect_critical and not known.forecast.in_parts_now:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
-        self.known = known
         return replace(decision, estimated=known.estimated, seen=known)
 
     def _without_unlikely_demands(self, known: Observation) -> Observation:
@@ -189,7 +185,7 @@ class GuardedController:
             decision = Decision(
                 dispatch,
                 0,
-                solve_info(site, solution, 0),
+                replace(solution, levels=levels_of(site, solution)),
                 fallback=name,
                 fallback_reason=f"{_with_failures(reason, failed)}; {words}",
             )
