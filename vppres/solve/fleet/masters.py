@@ -191,11 +191,12 @@ def fleet_master(task: WindowTask) -> Master | None:
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
     """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet.
 
-    Phases tell batteries apart, and so do parts: as one they could give their power to any.
+    Parts tell batteries apart: as one they could give their power to any. So do phases, but to let
+    one battery serve them all only relaxes, and its bound takes a second where thousands are.
     """
     if len(data.soc) == 0:
         return (True,)
-    if data.phased is not None or not data.parts.whole:
+    if not data.parts.whole:
         return (False,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
