@@ -11,7 +11,7 @@ import pytest
 from tests.support.refusals import refusal
 from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
-from vppres.feeders.closeness import NO_SOLUTION
+from vppres.feeders.closeness import NO_SOLUTION, NOT_CONVERGED
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.dss.recheck import solved_steps
 from vppres.feeders.new.options import NewScenarioOptions
@@ -251,6 +251,33 @@ ODD: dict[str, tuple[str, ...]] = {
         "set genmult=.8",
     ),
     "loads that are admittances": (*BASE, "set loadmodel=a"),
+    "PV that is an impedance": (
+        *BASE,
+        "new pvsystem.p bus1=b kv=4.16 kva=90 pmpp=80 irradiance=.9 model=2",
+    ),
+    "battery that is an impedance": (
+        *BASE,
+        "new storage.x bus1=b.2 phases=1 kv=2.4 kwrated=60 kwhrated=200 state=discharging model=2",
+    ),
+    "generator with a reactance of its own": (
+        *BASE,
+        "new generator.g bus1=b kv=4.16 kw=90 model=5",
+    ),
+    "switch that is not in its normal state": (
+        *BASE,
+        SPUR,
+        *AT_E,
+        "new swtcontrol.s switchedobj=line.sp switchedterm=1 normal=closed state=open delay=0",
+    ),
+    "names with a space and a dot": (
+        *BASE,
+        'new "load.my load" bus1=b.3 phases=1 kv=2.4 kw=30',
+        "new load.x.y bus1=b.3 phases=1 kv=2.4 kw=10",
+    ),
+    "capacitor from phase to phase": (
+        *BASE,
+        "new capacitor.f phases=1 bus1=b.1.2 kv=4.16 kvar=60 conn=delta",
+    ),
     "no solution of its own yet": (
         *BASE[:3],
         SPUR,
@@ -533,6 +560,48 @@ def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:
         assert scenario.pv_kw[:, 0] == pytest.approx([80.0 * hour / 100 for hour in range(24)])
 
 
+def test_shapes_with_hours_have_their_step(tmp_path: Path) -> None:
+    even = "new loadshape.s npts=3 interval=0 hour=(0 .5 1) mult=(.5 .6 .7)"
+    for shape, told in ((even, True), (even.replace(".5 1)", ".5 3)"), False)):
+        file = written(tmp_path, (HEAD, BANK, LINE, shape, f"{LOADS[0]} daily=s"))
+        notes = import_network(file).notes
+        assert any("--profile-step 30, " in note for note in notes) is told
+        assert not any("--profile-step 0" in note for note in notes)
+
+
+def test_levels_follow_the_lines(tmp_path: Path) -> None:
+    """What is switched off where levels are found has no voltage that says which."""
+    lines = ("open line.sp 1", TAIL, "close line.sp 1")
+    feeder = import_network(written(tmp_path, (*BASE, SPUR, *AT_E, *lines), "solve"))
+    assert feeder.phased is not None
+    assert {row.bus: row.kv for row in feeder.phased.phases.buses}["e"] == pytest.approx(4.16)
+
+
+def test_a_fuse_stays_as_the_solution_leaves_it(tmp_path: Path) -> None:
+    """To set the mode of solution anew would put it back to its normal state."""
+    fuse = "new fuse.f monitoredobj=line.sp monitoredterm=1 state=[open closed closed]"
+    file = written(tmp_path, (*BASE, SPUR, *AT_E, TAIL, fuse), "solve")
+    assert apart(import_network(file), file) < CLOSE_PU
+
+
+def test_a_load_at_ground_is_named(tmp_path: Path) -> None:
+    feeder = import_network(written(tmp_path, (*BASE, "new load.e bus1=b.0 phases=1 kv=2.4 kw=40")))
+    assert "Without supply, and left out: load.e at bus b, 40 kW." in feeder.notes
+
+
+def test_a_balanced_feeder_without_a_solution_of_its_own_is_refused(tmp_path: Path) -> None:
+    """OpenDSS makes an impedance of 20 MW below ``vminpu``: the source is solved, the feeder not."""
+    file = written(tmp_path, (*BASE[:3], "new load.e bus1=b kv=4.16 kw=20000"))
+    feeder = import_network(file)
+    assert feeder.phased is None and feeder.deviation is None
+    with pytest.raises(InputError, match=r"has no solution of its own .* --accept-deviation"):
+        write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "refused")
+    notes = write_new_scenario(
+        feeder, NewScenarioOptions(accept_deviation=True), tmp_path / "accepted"
+    )
+    assert NO_SOLUTION in notes and NOT_CONVERGED not in notes
+
+
 def test_steps_are_solved_where_neutrals_float_and_where_nothing_is_left(tmp_path: Path) -> None:
     """An asset at a bus with a neutral of its own is between the phases."""
     four = (
@@ -556,6 +625,15 @@ def test_steps_are_solved_where_neutrals_float_and_where_nothing_is_left(tmp_pat
 
 
 REFUSED = {
+    "two of one name": (
+        (*BASE, "set allowduplicates=yes", "new load.a bus1=b.2 phases=1 kv=2.4 kw=70"),
+        "load.a stands 2 times. Give each a name of its own",
+    ),
+    "an autotransformer, which is no element to disable": (
+        (HEAD, "new autotrans.t phases=3 windings=2 buses=(s m) kvs=(12.47 4.16) kvas=(1000 1000)",
+         LINE, *LOADS),
+        "autotrans.t is not supported. Replace it by lines, reactors, or transformers",
+    ),
     "growth of its own": (
         (*BASE, "new growthshape.g npts=2 year=(1 10) mult=(1.1 1.05)",
          "new load.f bus1=b.3 phases=1 kv=2.4 kw=30 growth=g", "set year=3"),

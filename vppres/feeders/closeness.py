@@ -126,7 +126,7 @@ def _as_given(feeder: ImportedFeeder) -> ACResult | None:
 
 
 def source_deviation(feeder: ImportedFeeder, scenario: Scenario) -> SourceDeviation:
-    """Differences in all three states; those of a source that does not converge are not known."""
+    """Differences in all three states; none is known where a power flow has no solution."""
     given = feeder.deviation
     if given is None:
         return SourceDeviation(opened_pu=feeder.opened_pu)
@@ -138,16 +138,21 @@ def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:
     """How close the feeder is to its source, in a sentence or two."""
     given = feeder.deviation
     if given is None:
-        return NOT_CONVERGED
+        return _unsolved(feeder)
     losses = f"Losses as given are {given.losses_kw:.3f} kW"
     return f"{deviation} {losses}, in the source {given.losses_source_kw:.3f} kW."
+
+
+def _unsolved(feeder: ImportedFeeder) -> str:
+    """Sentence on the power flow that has no solution, the feeder's or its source's."""
+    return NO_SOLUTION if feeder.source_solves else NOT_CONVERGED
 
 
 def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[str]:
     """Causes of more than a trace of difference, or the reason why they are unknown."""
     largest = deviation.largest_pu
     if feeder.deviation is None:
-        yield NOT_CONVERGED
+        yield _unsolved(feeder)
     elif largest is not None and largest > EXACT_PU:
         yield f"Causes of the difference of {largest:.2g} pu: {_causes(feeder)}."
 
@@ -163,7 +168,8 @@ def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted
     largest = deviation.largest_pu
     if accepted:
         return
-    if NO_SOLUTION in feeder.notes:
+    unsolved = feeder.phased is None and feeder.deviation is None and feeder.source_solves
+    if unsolved or NO_SOLUTION in feeder.notes:
         words = "has no solution of its own power flow with the powers of the source"
     elif largest is not None and largest > EXACT_PU:
         words = f"has voltages up to {largest:.2g} pu away from the source's"

@@ -187,8 +187,9 @@ class ImportedFeeder:
     notes: tuple[str, ...]  #: what was simplified, one sentence each; empty if nothing was
     #: Those of the notes that say what has no supply; they hold for phases too.
     left_out: tuple[str, ...] = ()
-    #: What the simplifications change; None if the source's power flow does not converge.
+    #: What the simplifications change; None if its own power flow or the source's has no solution.
     deviation: Deviation | None = None
+    source_solves: bool = True  #: whether the source's own power flow has a solution
     storages: Storages = field(default_factory=Storages.none)  #: batteries of the source
     loads: Loads = field(default_factory=Loads.none)  #: loads one by one, as far as they are known
     profiles: tuple[Profile, ...] = ()  #: series that come with the source

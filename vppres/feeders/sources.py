@@ -172,8 +172,9 @@ def _feeder(found: _Net, name: str, changes: PermittedChanges) -> ImportedFeeder
     if found.flow is not None:
         flow = found.flow.of(net, feeder)
         feeder = replace(feeder, source_flow=flow, causes=flow.told(feeder) + feeder.causes)
-        given = given_deviation(feeder, flow.as_given(), flow.losses_kw)
-        feeder = replace(feeder, deviation=given)
+        v_pu = flow.as_given()
+        given = given_deviation(feeder, v_pu, flow.tables()["losses_kw"])
+        feeder = replace(feeder, deviation=given, source_solves=v_pu is not None)
     profiles = found.profiles or profiles_of(net)
     known = {*feeder.loads.id, *feeder.generators.id, *feeder.storages.id}
     feeder = replace(feeder, profiles=tuple(p for p in profiles if p.name in known))
@@ -188,7 +189,7 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
     assert found.flow is not None
     flow = found.flow.of(net, feeder)
     feeder = replace(feeder, source_flow=flow, causes=(), deviation=None)
-    phased = phased_source(flow.job, flow.name, feeder, flow.disabled)
+    phased = phased_source(flow, feeder)
     opened_pu = flow.opened_pu()
     names = {(load.kind, load.connection.id) for load in phased.loads}
     storages = feeder.storages

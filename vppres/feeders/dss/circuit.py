@@ -17,9 +17,11 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
-from vppres.core.units import A_PER_KA, kw_to_mw
+from vppres.core.units import A_PER_KA, V_PER_KV, kw_to_mw
 from vppres.feeders.closeness import largest_difference
 from vppres.feeders.dss import script as dss_script
+from vppres.feeders.dss.by_phase import complexes
+from vppres.feeders.dss.nodes import power_at_nominal
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PHASES, PhasePowers
 from vppres.feeders.net.elements import label
@@ -28,8 +30,14 @@ from vppres.feeders.net.switches import LOCKED
 from vppres.feeders.strangers.confined import confined
 from vppres.scenario.network import BusId
 
+OWN_SOURCES = ("pvsystem", "generator", "storage")
+"""Classes of what a feeder has its own of, so that the circuit's is off."""
+
 PHASE_COUNT = 3
 TOGETHER = " + "
+MOST_KVA = 1e12
+"""Of a branch that is not to be opened."""
+
 NF_PER_F = 1e9
 SHAPE_TOLERANCE = 1e-6
 """By how much the shares of a circuit's loads may differ and still count as one share."""
@@ -121,20 +129,18 @@ class OpenDSSFlow:
         self.job = job
         self.name = name
         self.time_limit_s = time_limit_s
+        self.found = found
         self.index = {bus["name"]: i for i, bus in enumerate(found["buses"])}
         self.given: dict[int, float] | None = self._by_index(found["v_pu"])
-        self.losses_kw: float | None = found["losses_kw"]
-        self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
-        self.closed = [
-            branch["element"]
-            for table in ("lines", "transformers")
-            for branch in found[table]
-            if branch["closed"]
-        ]
-        complete = found.get("complete", [])
-        self.complete = {self.index[bus] for bus in complete if bus in self.index}
+        causes = sorted(found["causes"] + found["beyond"], key=lambda cause: -cause[0])
+        self.causes = tuple(words for _, words in causes)
+        self.closed = [branch["element"] for branch in found["branches"] if branch["pairs"]]
+        self.closed += [each["element"] for each in found["transformers"] if _closed(each)]
+        three = (i for i, bus in enumerate(found["buses"]) if {1, 2, 3} <= {*bus["nodes"]})
+        self.complete = {*three}
         self.giving = {power["bus"] for power in found["powers"] if power["kind"] != "load"}
         self.disabled: list[str] = []
+        self.opened: dict[str, Any] | None = None
         self.load_kw: dict[BusId, float] = {}
         self.groups: dict[BusId, list[str]] = {}
         self.known: dict[tuple[Any, ...], dict[int, float] | None] = {}
@@ -147,7 +153,7 @@ class OpenDSSFlow:
             for elements in net[table].loc[net[table]["in_service"], "element"]
             for element in str(elements).split(TOGETHER)
         }
-        self.disabled = sorted({*self.closed} - kept)
+        self.disabled, self.opened = sorted({*self.closed} - kept), None
         at = {bus: feeder.bus_of[i] for bus, i in self.index.items() if i in feeder.bus_of}
         giving = {at[bus] for bus in self.giving if bus in at}
         self.groups = {own: [bus for bus in at if at[bus] == own] for own in giving}
@@ -209,25 +215,66 @@ class OpenDSSFlow:
 
     def as_given(self) -> dict[int, float] | None:
         """Voltages with the circuit's own powers."""
-        return self._solved(1.0, {}, None) if self.disabled else self.given
+        return self._by_index(self.tables()["v_pu"])
+
+    def tables(self, by_phase: bool = False) -> dict[str, Any]:
+        """Tables of the circuit without what was opened.
+
+        ``by_phase`` keeps what joins the source to a conductor that nothing else does.
+        """
+        if not self.disabled:
+            return self.found
+        if self.opened is None:
+            job = {**self.job, "disabled": self.disabled, "keep": by_phase, "open_deltas": True}
+            self.opened = confined("dss.engine", job, self.name, self.time_limit_s)
+            kept = self.opened["kept"]
+            self.disabled = [each for each in self.disabled if each not in kept]
+        return self.opened
 
     def _solved(
-        self, load: float, held: dict[str, Any], v_slack_pu: float | None
+        self, share: float, held: dict[str, Any], v_slack_pu: float | None
     ) -> dict[int, float] | None:
-        state = {
-            "load": load,
-            "held": held,
+        """Voltages with a share of all loads, but for buses with powers of their own."""
+        loads = [row for row in self.found["powers"] if row["kind"] == "load"]
+        shares = [0.0 if row["bus"] in held else share for row in loads]
+        own = {bus: power for bus, power in held.items() if power is not None}
+        drawn = {
+            name: [each * row[name] for each, row in zip(shares, loads, strict=True)]
+            + [-power[i] for power in own.values()]
+            for i, name in enumerate(("p_kw", "q_kvar"))
+        }
+        job = {
+            **self.job,
+            "open_deltas": True,
             "disabled": self.disabled,
+            "off": OWN_SOURCES,
+            "assets": [{"load": row["name"]} for row in loads] + [{"bus": bus} for bus in own],
+            "steps": [{**drawn, "held_v": None}],
             "v_slack_pu": v_slack_pu,
         }
-        job = {**self.job, "state": state, "open_deltas": True}
-        return self._by_index(confined("dss.engine", job, self.name, self.time_limit_s)["v_pu"])
-
-    def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:
-        """Voltages by the index of the bus in the net."""
-        if v_pu is None:
+        found = confined("dss.day", job, self.name, self.time_limit_s)
+        flat = found["steps"][0]["v"]
+        if flat is None:
             return None
-        return {self.index[bus]: v for bus, v in v_pu.items() if bus in self.index}
+        volts = np.hypot(flat[::2], flat[1::2])
+        base_v = {row["name"]: V_PER_KV * row["kv"] / np.sqrt(3) for row in self.found["buses"]}
+        return self._by_index(
+            {
+                node: v / base_v[node.rpartition(".")[0]]
+                for node, v in zip(found["nodes"], volts, strict=True)
+            }
+        )
+
+    def _by_index(self, v_pu: dict[str, float]) -> dict[int, float] | None:
+        """Mean voltage of a bus's phases by its index in the net; None without a solution."""
+        if not v_pu:
+            return None
+        at: dict[int, list[float]] = {}
+        for node, v in v_pu.items():
+            bus, _, number = node.rpartition(".")
+            if bus in self.index and number in ("1", "2", "3"):
+                at.setdefault(self.index[bus], []).append(v)
+        return {i: float(np.mean(values)) for i, values in at.items()}
 
 
 def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
@@ -267,21 +314,23 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     net = empty_net(name=found["name"], f_hz=found["frequency_hz"])
     pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
-    _add_lines(net, found["lines"], at)
-    _add_switches(net, found["lines"])
-    transformers = [*_banks(found["transformers"])]
+    kv = {bus["name"]: bus["kv"] for bus in found["buses"]}
+    lines = [_line(branch, kv) for branch in found["branches"] if branch["z"]]
+    _add_lines(net, lines, at)
+    _add_switches(net, lines)
+    pairs = (pair for each in found["transformers"] for pair in _of_two_windings(each, kv))
+    transformers = [*_banks([*pairs])]
     for transformer in transformers:
         _add_transformer(net, transformer, at)
-    for table, rows in (("line", found["lines"]), ("trafo", transformers)):
+    for table, rows in (("line", lines), ("trafo", transformers)):
         net[table]["element"] = [row["element"] for row in rows]
         for column in ("phases", "carried_kva"):
             net[table][column] = [float(row[column]) for row in rows]
-    for shunt in found["shunts"]:
-        p_mw, q_mvar = (float(kw_to_mw(shunt[power])) for power in ("p_kw", "q_kvar"))
-        pp.create_shunt(net, at[shunt["bus"]], p_mw=p_mw, q_mvar=q_mvar, name=shunt["name"])
+    for name, bus, power in (*_shunts(found, kv), *_cores(found, kv)):
+        p_mw, q_mvar = (float(kw_to_mw(part)) for part in (power.real, power.imag))
+        pp.create_shunt(net, at[bus], p_mw=p_mw, q_mvar=q_mvar, name=name)
     _add_powers(net, found["powers"], at)
-    for source in found["sources"]:
-        _add_source(net, source, at[source["bus"]])
+    _add_source(net, found["source"], at[found["source"]["bus"]])
     # Scenario folders read buses as whole numbers where all of them are.
     whole = all(name.isdecimal() and str(int(name)) == name for name in names)
     ids: dict[int, BusId] = {i: int(name) if whole else name for i, name in enumerate(names)}
@@ -290,13 +339,96 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     return net, ids
 
 
+def _line(branch: dict[str, Any], kv: dict[str, float]) -> dict[str, Any]:
+    """A branch between two buses with the impedance and charging of a balanced line.
+
+    One that is open charges nothing.
+    """
+    z, closed = complexes(branch["z"]), bool(branch["pairs"])
+    n = len(z)
+    rest = [complexes(y) for _, _, y in branch["rest"]] if closed else []
+    b = sum((y[:n, :n].imag for y in rest if len(y) == n), np.zeros((n, n)))
+    return {
+        **branch,
+        "closed": closed,
+        "phases": n,
+        "r_ohm": _of_three(n) * _positive_sequence(z.real),
+        "x_ohm": _of_three(n) * _positive_sequence(z.imag),
+        "b_s": _positive_sequence(b) / _of_three(n),
+        "carried_kva": branch["carried_a"] * kv[branch["from_bus"]] / np.sqrt(3) if closed else 0.0,
+    }
+
+
+def _shunts(found: dict[str, Any], kv: dict[str, float]) -> Iterator[tuple[str, str, complex]]:
+    """Name, bus, and power at nominal voltage of what is at one bus alone."""
+    for branch in found["branches"]:
+        for bus, nodes, y in branch["rest"] if not branch["pairs"] else ():
+            yield branch["name"], bus, power_at_nominal(nodes, complexes(y), kv[bus])
+
+
+def _cores(found: dict[str, Any], kv: dict[str, float]) -> Iterator[tuple[str, str, complex]]:
+    """Cores of transformers with three windings, which OpenDSS has at the second."""
+    for one in found["transformers"]:
+        own = one["windings"][1]
+        percent = complex(one["no_load_percent"], one["magnetising_percent"])
+        if one["star"] and percent:
+            share = own["kva"] * (kv[own["bus"]] / _in_use_kv(own, kv)) ** 2 / 100.0
+            yield f"core of {one['name']}", own["bus"], share * percent
+
+
+def _in_use_kv(winding: dict[str, Any], kv: dict[str, float]) -> float:
+    """Voltage between lines of the turns of a winding that are in use.
+
+    A rated voltage of a single phase may be to neutral.
+    """
+    rated = winding["rated_kv"], winding["rated_kv"] * np.sqrt(3)
+    return float(min(rated, key=lambda each: abs(each - kv[winding["bus"]])) * winding["tap"])
+
+
+def _closed(transformer: dict[str, Any]) -> bool:
+    """Whether a transformer joins its buses."""
+    return bool(transformer["star"]) or len({bus for bus, _ in transformer["live"]}) == 2
+
+
+def _of_two_windings(one: dict[str, Any], kv: dict[str, float]) -> Iterator[dict[str, Any]]:
+    """A transformer as one with two windings; with three, one for each of them, to their star."""
+    windings = one["windings"]
+    row = {
+        **one,
+        "closed": _closed(one),
+        "start": windings[0]["bus"],
+        "end": windings[1]["bus"],
+        "kv": [_in_use_kv(each, kv) for each in windings],
+        "kva": windings[0]["kva"],
+        "r_percent": sum(each["r_percent"] for each in windings),
+        "x_percent": windings[0]["x_percent"],
+        "carried_kva": one["carried_a"] * kv[windings[0]["bus"]] / np.sqrt(3),
+    }
+    if not one["star"]:
+        yield row
+    for number, own in enumerate(windings if one["star"] else (), start=1):
+        yield row | {
+            "name": f"{one['name']} winding {number}",
+            "start": own["bus"],
+            "end": one["star"],
+            "phases": len(one["on_star"]),
+            "nodes": [*one["on_star"]],
+            "kv": [_in_use_kv(own, kv), kv[one["star"]]],
+            "r_percent": own["r_percent"],
+            "x_percent": own["x_percent"],
+            "no_load_percent": 0.0,
+            "magnetising_percent": 0.0,
+            "carried_kva": MOST_KVA,
+        }
+
+
 def _add_source(net: Any, source: dict[str, Any], bus: int) -> None:
     """The source's voltage behind its impedance."""
     import pandapower as pp
 
     kv = float(net.bus.at[bus, "vn_kv"])
     behind = pp.create_bus(net, vn_kv=kv, name="vsource")
-    pp.create_ext_grid(net, behind, vm_pu=source["v_pu"], name=source["name"])
+    pp.create_ext_grid(net, behind, vm_pu=source["v_pu"], name="source")
     pp.create_line_from_parameters(
         net,
         behind,
@@ -317,27 +449,18 @@ def _add_lines(net: Any, lines: list[dict[str, Any]], at: dict[str, int]) -> Non
     if not lines:
         return
 
-    def ohm(line: dict[str, Any], part: int) -> float:
-        return _of_three(line["phases"]) * _positive_sequence(line["z"][part], line["phases"])
-
     farad = 1.0 / (2.0 * np.pi * net.f_hz)
     pp.create_lines_from_parameters(
         net,
-        [at[line["start"]] for line in lines],
-        [at[line["end"]] for line in lines],
+        [at[line["from_bus"]] for line in lines],
+        [at[line["to_bus"]] for line in lines],
         length_km=1.0,
         max_i_ka=[
             NO_LIMIT_KA if line["amps"] is None else line["amps"] / A_PER_KA for line in lines
         ],
-        r_ohm_per_km=[ohm(line, 0) for line in lines],
-        x_ohm_per_km=[ohm(line, 1) for line in lines],
-        c_nf_per_km=[
-            NF_PER_F
-            * farad
-            * _positive_sequence(line["b"], line["phases"])
-            / _of_three(line["phases"])
-            for line in lines
-        ],
+        r_ohm_per_km=[line["r_ohm"] for line in lines],
+        x_ohm_per_km=[line["x_ohm"] for line in lines],
+        c_nf_per_km=[NF_PER_F * farad * line["b_s"] for line in lines],
         name=[line["name"] for line in lines],
         in_service=[line["closed"] for line in lines],
     )
@@ -359,22 +482,20 @@ def _of_three(n_phases: int) -> float:
     return 3.0 / min(n_phases, 3)
 
 
-def _positive_sequence(matrix: list[float], n_phases: int) -> float:
+def _positive_sequence(matrix: Floats) -> float:
     """Mean self impedance less what the currents of the other phases induce.
 
     Currents of three phases cancel but for one, those of two phases but for half.
 
-    >>> _positive_sequence([5.0, 2.0, 2.0, 2.0, 5.0, 2.0, 2.0, 2.0, 5.0], 3)
+    >>> _positive_sequence(np.array([[5.0, 2.0, 2.0], [2.0, 5.0, 2.0], [2.0, 2.0, 5.0]]))
     3.0
-    >>> _positive_sequence([5.0, 2.0, 2.0, 5.0], 2)
+    >>> _positive_sequence(np.array([[5.0, 2.0], [2.0, 5.0]]))
     4.0
     """
-    if len(matrix) != n_phases**2:  # no phase, or one that becomes another
-        return 0.0
-    z: Floats = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
-    own = np.trace(z) / n_phases
-    mutual = (z.sum() - np.trace(z)) / max(n_phases * (n_phases - 1), 1)
-    return float(own - 0.5 * (min(n_phases, 3) - 1) * mutual)
+    n = len(matrix)
+    own = np.trace(matrix) / n
+    mutual = (matrix.sum() - np.trace(matrix)) / max(n * (n - 1), 1)
+    return float(own - 0.5 * (min(n, 3) - 1) * mutual)
 
 
 def _banks(transformers: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:

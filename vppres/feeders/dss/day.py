@@ -33,23 +33,27 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     and ``q_kvar`` that the assets draw and, in an island, the volts to ground that ``held_v`` has
     at ``island_bus``. Capacitors at the buses of ``open`` are off there, and ``taps``
     of second windings are those with the grid and there. With ``constant_power`` the circuit's
-    loads keep their power at any voltage.
+    loads keep their power at any voltage, and ``v_slack_pu`` is what its source holds.
     """
     circuit, problems = engine.build(job)
     if problems:
         return {"problems": problems}
     engine.settled(circuit)  # the taps of the plan are those of the state that the file gives
-    dss.Text.Command("set loadmult=1")  # powers of the steps are what is drawn
+    dss.Text.Command("set loadmult=1 year=0")  # powers of the steps are what is drawn
+    if job.get("v_slack_pu") is not None:
+        dss.Vsources.Name("source")
+        source = buses()[0]
+        dss.Vsources.PU(job["v_slack_pu"] * circuit.base_kv(source) / dss.Vsources.BasekV())
     for element in job.get("disabled", ()):
         dss.Circuit.Disable(element)
     switched_off = list(_switch_off(job["off"]))
     names = [
         asset.get("load") or _new_asset(circuit, i, asset) for i, asset in enumerate(job["assets"])
     ]
-    if job["constant_power"]:
+    if job.get("constant_power"):
         for name in dss.Loads.AllNames():
-            dss.Text.Command(f"edit load.{name} model=1 {ANY_VOLTAGE}")
-    island = _new_source(job["island_bus"])
+            dss.Text.Command(f'edit "load.{name}" model=1 {ANY_VOLTAGE}')
+    island = _new_source(job.get("island_bus"))
     nodes = _nodes(circuit)
     steps = []
     for step in job["steps"]:
@@ -132,10 +136,10 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
         dss.Text.Command(f"vsource.{ISLAND}.basekv={step['held_v'] * 3**0.5 / 1000.0:.17g}")
     for name in dss.Capacitors.AllNames():
         dss.Circuit.SetActiveElement(f"capacitor.{name}")
-        if buses()[0] in job["open"]:
+        if buses()[0] in job.get("open", ()):
             dss.Text.Command(f"capacitor.{name}.enabled={'no' if held else 'yes'}")
     for name, taps in job.get("taps", {}).items():
-        dss.Text.Command(f"edit transformer.{name} wdg=2 tap={taps[held]:.17g}")
+        dss.Text.Command(f'edit "transformer.{name}" wdg=2 tap={taps[held]:.17g}')
     for name, p_kw, q_kvar in zip(names, step["p_kw"], step["q_kvar"], strict=True):
         dss.Loads.Name(name)
         dss.Loads.kW(p_kw)

@@ -17,9 +17,6 @@ from vppres.core.units import V_PER_KV, VA_PER_KVA
 from vppres.feeders.dss.nodes import beside, reached
 
 PHASES = (1, 2, 3)
-ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
-"""Turns of phases a, b and c."""
-
 LEAST_PCT = 1e-6
 """Reactance of a leg of a star that has no impedance."""
 
@@ -226,17 +223,24 @@ class TwoPort:
             rest[np.ix_(at, at)] -= through
             self.rest.append(rest)
 
-    @property
-    def crossed(self) -> bool:
-        """Whether a phase becomes another one."""
-        return any(first != second for first, second in self.phases)
+
+def text_of(element: str, name: str) -> str:
+    """Value of an element's property."""
+    dss.Circuit.SetActiveElement(element)
+    return str(dss.Properties.Value(name)).strip()
 
 
-def power_at_nominal(nodes: list[Node], y: Any, base_kv: float) -> complex:
-    """Power of a matrix at the nominal voltages of its bus, in kW and kvar; neutrals have 0 V."""
-    phases = [i for i, (_, node) in enumerate(nodes) if node in PHASES]
-    v = base_kv * V_PER_KV / np.sqrt(3) * ANGLES[[nodes[i][1] - 1 for i in phases]]
-    return complex((v * np.conj(y[np.ix_(phases, phases)] @ v)).sum()) / VA_PER_KVA
+def number(element: str, name: str) -> float:
+    """A property that OpenDSS only tells as text."""
+    return float(text_of(element, name))
+
+
+def coil_volts(delta: bool) -> list[float]:
+    """Voltage across each coil of the active load or generator in the last solution."""
+    flat = np.asarray(dss.CktElement.Voltages())
+    volts = flat[::2] + 1j * flat[1::2]
+    other = [volts[(i + 1) % len(volts)] if delta else volts[-1] for i in range(len(volts))]
+    return [float(abs(volts[i] - other[i])) for i in range(dss.CktElement.NumPhases())]
 
 
 def power_drawn() -> complex:

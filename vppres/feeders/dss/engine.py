@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -11,23 +12,28 @@ import opendssdirect as dss
 from vppres.core.units import V_PER_KV, W_PER_KW
 from vppres.feeders.dss.commands import Commands
 from vppres.feeders.dss.elements import (
-    PHASES,
     Circuit,
-    ServiceTransformer,
-    Side,
-    TwoPort,
-    Winding,
     buses,
-    buses_of,
+    coil_volts,
     matrix,
     middle,
     nodes_of,
-    power_at_nominal,
+    number,
     power_drawn,
-    shut,
+    text_of,
 )
-from vppres.feeders.dss.nodes import reached
+from vppres.feeders.dss.nodes import beside, reached
 from vppres.feeders.dss.refused import RefusedLine
+from vppres.feeders.dss.tables import (
+    ADMITTANCE,
+    BRANCHES,
+    CONSTANT_IMPEDANCE,
+    DEFAULT_AMPS,
+    POWERS,
+    THREE_PHASES,
+    single_phases,
+    tables,
+)
 
 # Classes that carry no power, and those that have a counterpart here.
 _CONTROLS = """
@@ -37,42 +43,70 @@ recloser fuse upfccontrol espvlcontrol
 CONTROLS = frozenset(_CONTROLS.split())
 _CARRYING = "vsource line transformer load generator pvsystem storage capacitor reactor"
 CARRYING = frozenset(_CARRYING.split())
-CONSTANT_POWER, CONSTANT_IMPEDANCE = 1, 2  # OpenDSS's models of a load; 5 is constant current
-ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
-VARIABLE = 0  # status of a load that multipliers change
+CONSTANT_POWER = 1  # OpenDSS's models of a load
 MOST_NAMED = 6
 NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
-THREE_PHASES = 3
-DEFAULT_AMPS = 400.0
 TOLERANCE, GUESSED_TOLERANCE = 0.1, 0.01  # sources and windings are often rated above their level
 MOST_TOLD = 200
 CURE = "Correct the file until OpenDSS solves it."
 SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
 
-POWERS = ("load", "generator", "pvsystem", "storage")
-MOST_KVA = 1e12
-"""Of a branch that is not to be opened."""
-
 CONTROLS_OFF = -1
 TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
 """From the last digits to OpenDSS's own: what floats, or is stiff, meets only the latter."""
 
 Problems = list[dict[str, Any]]
-Table = list[dict[str, Any]]
 
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
-    """The circuit of the job's commands as tables, or what is wrong with it."""
+    """The circuit of the job's commands as tables, or what is wrong with it.
+
+    Elements that are ``disabled`` in the job are out of service. With ``keep`` those are not that
+    join the source to a conductor that nothing else does: ``kept`` in the answer.
+    """
     circuit, problems = build(job)
     if problems:
         return {"problems": problems}
-    solved = settled(circuit) and solved_by_phase()
-    state = job.get("state")
-    if state is None:
-        return _tables(circuit, solved)
-    return {"problems": [], **_in_state(circuit, state)}
+    settled(circuit)
+    disabled = job.get("disabled", [])
+    kept = _needed(disabled, circuit) if job.get("keep") else []
+    for element in disabled:
+        if element not in kept:
+            dss.Circuit.Disable(element)
+    circuit.find_elements()
+    solved = solved_by_phase()
+    return {
+        "problems": [],
+        "kept": kept,
+        **_voltages(circuit, solved),
+        **tables(circuit, solved),
+        "shapes": _shapes(circuit),
+        "causes": list(_causes(circuit)),
+        "beyond": list(beyond(circuit)) if solved else [],
+        "single_phases": single_phases(circuit),
+        "balanced_notes": list(_notes_on_balance(circuit)),
+        "notes": list(_notes(circuit, solved)),
+    }
+
+
+def _needed(disabled: list[str], circuit: Circuit) -> list[str]:
+    """Elements that close a loop of buses, but of no conductor."""
+    joined: dict[str, list[tuple[Any, ...]]] = {}
+    for kind in (*BRANCHES, "transformer"):
+        for name in circuit.of(kind):
+            nodes = [tuple(circuit.admittance()[0])] if kind == "transformer" else []
+            joined[f"{kind}.{name}"] = nodes or circuit.joined()
+    groups = [group for element, own in joined.items() if element not in disabled for group in own]
+    kept = []
+    for element in disabled:
+        own = joined.get(element, [])
+        known = beside(groups)
+        if any({*group} - {*reached(group[0], known)} for group in own):
+            kept.append(element)
+            groups += own
+    return kept
 
 
 def settled(circuit: Circuit) -> bool:
@@ -80,15 +114,16 @@ def settled(circuit: Circuit) -> bool:
     if circuit.ends_solved and dss.Solution.Converged():
         return True  # as the script leaves it
     off = dss.Solution.ControlMode() == CONTROLS_OFF
-    mode = () if off else ("set controlmode=static", "set maxcontroliter=100")
-    return _solved("set mode=snapshot", *mode)
+    return _solved(*(() if off else ("set controlmode=static", "set maxcontroliter=100")))
 
 
 def solved_by_phase() -> bool:
-    """Solve with everything that acts as it stands, to the last digits of each node."""
+    """Solve with everything that acts as it stands, to the last digits of each node.
+
+    To set the mode anew would put switches, fuses and relays back to their normal state.
+    """
     return any(
-        _solved(f"set controlmode=off mode=snap tolerance={each:g} maxiterations=1000")
-        for each in TOLERANCES
+        _solved(f"set controlmode=off tolerance={each:g} maxiterations=1000") for each in TOLERANCES
     )
 
 
@@ -102,59 +137,19 @@ def _solved(*settings: str) -> bool:
     return bool(dss.Solution.Converged())
 
 
-def _in_state(circuit: Circuit, state: dict[str, Any]) -> dict[str, Any]:
-    """Voltages and losses with other powers and everything else as it was found.
-
-    Loads give the share ``load`` of their powers. Buses of ``held`` have no element of the circuit
-    but inject these kW and kvar, each on its phases.
-    """
-    held = state["held"]
-    there = [f"{kind}.{name}" for kind in POWERS for name in circuit.of(kind) if buses()[0] in held]
-    for element in there:
-        dss.Circuit.Disable(element)
-    for i, (bus, power) in enumerate(held.items()):
-        if power is not None and any(power):
-            _inject(f"vppres_{i}", bus, *power)
-    multiplier = dss.Solution.LoadMult() * state["load"]
-    commands = [f"{element}.enabled=no" for element in state["disabled"]]
-    if state["v_slack_pu"] is not None:
-        dss.Vsources.Name("source")
-        share = circuit.base_kv(buses()[0]) / dss.Vsources.BasekV()
-        commands.append(f"vsource.source.pu={state['v_slack_pu'] * share!r}")
-    for command in (f"set loadmult={multiplier!r}", *commands):
-        dss.Text.Command(command)
-    return _voltages(circuit, solved_by_phase())
-
-
-def _inject(name: str, bus: str, p_kw: float, q_kvar: float) -> None:
-    """Constant power into the phases of a bus."""
-    dss.Circuit.SetActiveBus(bus)
-    phases = [node for node in dss.Bus.Nodes() if node in PHASES]
-    kv = dss.Bus.kVBase() * (1.0 if len(phases) == 1 else np.sqrt(3))
-    dss.Text.Command(
-        f"new load.{name} bus1={'.'.join([bus, *map(str, phases)])} phases={len(phases)} "
-        f"kv={kv:.17g} kw={-p_kw:.17g} kvar={-q_kvar:.17g} status=fixed vminpu=0.05 vmaxpu=2"
-    )
-
-
 def _voltages(circuit: Circuit, solved: bool) -> dict[str, Any]:
-    """Mean voltage of the phases of every bus in pu, and all losses; nothing without a solution."""
+    """Voltage to ground of each node in pu, of legs from one to the other, and all losses.
+
+    Nothing without a solution.
+    """
     if not solved:
-        return {"v_pu": None, "losses_kw": None}
-    found = {}
-    complete = []
-    for bus in dss.Circuit.AllBusNames():
-        if bus in circuit.legs:
-            found[bus] = circuit.legs_pu(bus)
-            continue
-        dss.Circuit.SetActiveBus(bus)
-        phases = [node in PHASES for node in dss.Bus.Nodes()]
-        magnitude = np.asarray(dss.Bus.puVmagAngle()[::2])[: len(phases)]
-        if any(phases):
-            found[bus] = float(magnitude[phases].mean())
-        if sum(phases) == THREE_PHASES:
-            complete.append(bus)
-    return {"v_pu": found, "losses_kw": _losses_kw(circuit), "complete": complete}
+        return {"v_pu": {}, "losses_kw": None}
+    names = [name.lower() for name in dss.Circuit.AllNodeNames()]
+    found = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
+    legs = circuit.legs
+    found = {name: v for name, v in found.items() if name.rpartition(".")[0] not in legs}
+    found |= {f"{bus}.{phase}": circuit.legs_pu(bus) for bus, (phase, _) in legs.items()}
+    return {"v_pu": found, "losses_kw": _losses_kw(circuit)}
 
 
 def _losses_kw(circuit: Circuit) -> float:
@@ -202,7 +197,8 @@ def build(job: dict[str, Any]) -> tuple[Circuit, Problems]:
     circuit.find()
     if commands.named_levels:
         _fit_levels(circuit)
-    unfit = [p for name in circuit.elements if (p := _problem(circuit, name))]
+    unfit = [*_of_one_name(circuit)]
+    unfit += [p for name in circuit.elements if (p := _problem(circuit, name))]
     banks = [] if job.get("open_deltas") else [*_open_deltas(circuit)]
     return circuit, [*unfit, *banks] or _check_levels(circuit, commands.named_levels)
 
@@ -234,13 +230,22 @@ def wrong(message: str, cure: str, command: int | None = None) -> dict[str, Any]
     return {"message": message, "cure": cure, "command": command}
 
 
+def _of_one_name(circuit: Circuit) -> Iterator[dict[str, Any]]:
+    """Elements of one name ('set allowduplicates'): by it only the first can be read."""
+    for element, count in Counter(circuit.elements).items():
+        if count > 1:
+            yield wrong(f"{element} stands {count} times", "Give each a name of its own.")
+
+
 def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
     """Why an element has no equivalent here; None if it has."""
     kind, _, name = element.partition(".")
     if kind not in CONTROLS | CARRYING:
-        return wrong(
-            f"{element} is not supported", f"Write 'disable {element}' at the end of the script."
-        )
+        dss.Circuit.SetActiveElement(element)
+        cure = f"Write 'disable {element}' at the end of the script."
+        if len({bus for bus in buses() if bus}) > 1:  # without it, others lose their supply
+            cure = "Replace it by lines, reactors, or transformers with two windings."
+        return wrong(f"{element} is not supported", cure)
     if kind == "vsource" and element != "vsource.source":
         return wrong(
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
@@ -251,7 +256,7 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
             f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
         )
-    if kind == "load" and dss.Solution.Year() and (shape := text_of(f"{element}.growth")):
+    if kind == "load" and dss.Solution.Year() and (shape := text_of(element, "growth").lower()):
         return wrong(
             f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
             "Write its power of that year, and leave out 'set year'.",
@@ -273,12 +278,6 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
                 "Give it one, such as xhl=0.01.",
             )
     return None
-
-
-def text_of(of: str) -> str:
-    """Value of a property, ``class.name.property``, in lower case."""
-    dss.Text.Command(f"? {of}")
-    return str(dss.Text.Result()).strip().lower()
 
 
 def named_once(words: list[str]) -> str:
@@ -310,17 +309,21 @@ def _open_deltas(circuit: Circuit) -> Iterator[dict[str, Any]]:
 def _fit_levels(circuit: Circuit) -> None:
     """Give buses the level of ``voltagebases`` that fits the ratings of their transformers.
 
-    OpenDSS takes that which is next to their voltage without load, and where nothing holds a
-    floating bus that may be any.
+    OpenDSS takes that which is next to their voltage without load, and where nothing holds a bus,
+    as it floats or is switched off there, that may be any. Buses along lines have one level.
     """
     levels = [float(kv) for kv in dss.Settings.VoltageBases()]
     beside = circuit.beside()
     for element, bus, rated_kv, _ in list(_ratings(circuit)):
         own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
-        if element.startswith("transformer.") and own and not _fits(rated_kv, circuit.base_kv(bus)):
-            for each in reached(bus, beside):
-                dss.Text.Command(f'setkvbase bus="{each}" kvll={own[0]:.17g}')
-                circuit.moved[each] = own[0]
+        level = circuit.base_kv(bus)
+        if element.startswith("transformer.") and own and not _fits(rated_kv, level):
+            level = own[0]
+        for each in reached(bus, beside):
+            if abs(circuit.base_kv(each) - level) > TOLERANCE * level:
+                legs = 2.0 if each in circuit.legs else 1.0
+                dss.Text.Command(f'setkvbase bus="{each}" kvll={level / legs:.17g}')
+                circuit.moved[each] = level
 
 
 def _fits(rated_kv: float, base_kv: float, tolerance: float = TOLERANCE) -> bool:
@@ -361,277 +364,7 @@ def _ratings(circuit: Circuit) -> Iterator[tuple[str, str, float, float]]:
             yield f"transformer.{name}", bus, legs * dss.Transformers.kV(), TOLERANCE
 
 
-def _tables(circuit: Circuit, solved: bool) -> dict[str, Any]:
-    """Tables from which the reader makes a pandapower net."""
-    branches, shunts = _branches(circuit)
-    return {
-        "problems": [],
-        **_voltages(circuit, solved),
-        "name": dss.Circuit.Name(),
-        "frequency_hz": dss.Solution.Frequency(),
-        "buses": [
-            *({"name": bus, "kv": circuit.base_kv(bus)} for bus in dss.Circuit.AllBusNames()),
-            *({"name": star, "kv": kv} for star, kv in stars_kv(circuit).items()),
-        ],
-        "sources": list(_sources(circuit)),
-        "lines": branches,
-        "transformers": list(_transformers(circuit)),
-        "shunts": [*shunts, *_cores(circuit)],
-        "powers": [*_powers(circuit, solved)],
-        "shapes": _shapes(circuit),
-        "causes": list(_causes(circuit, solved)),
-        "single_phases": _single_phases(circuit),
-        "balanced_notes": list(_notes_on_balance(circuit)),
-        "notes": list(_notes(circuit, solved)),
-    }
-
-
-def _sources(circuit: Circuit) -> Iterator[dict[str, Any]]:
-    for name in circuit.of("vsource"):
-        bus = buses()[0]
-        dss.Vsources.Name(name)
-        v_kv = dss.Vsources.PU() * dss.Vsources.BasekV()
-        yield {
-            "name": name,
-            "bus": bus,
-            "v_pu": v_kv / circuit.base_kv(bus),
-            "r_ohm": number(f"vsource.{name}.r1"),
-            "x_ohm": number(f"vsource.{name}.x1"),
-        }
-
-
-def number(query: str) -> float:
-    """A property that OpenDSS only tells as text."""
-    return float(text_of(query))
-
-
-def _branches(circuit: Circuit) -> tuple[Table, Table]:
-    """Lines, reactors and capacitors between two buses, and what is at one bus only."""
-    branches: Table = []
-    shunts: Table = []
-    switches = _switches(circuit)
-    for kind in ("line", "reactor", "capacitor"):
-        for name in circuit.of(kind):
-            own = name if kind == "line" else f"{kind}.{name}"
-            ends = buses()
-            amps = rated_amps(dss.CktElement.NormalAmps())
-            nodes, y = circuit.admittance()
-            joined = buses_of(nodes)
-            if len(joined) == 2:
-                port = TwoPort(circuit, nodes, y)
-                if port.phases:
-                    told = {"switch": own in switches, "locked": switches.get(own, False)}
-                    branches.append({**_branch(circuit, own, kind, port, amps), **told})
-                    continue
-            if kind == "line" and len(set(ends)) == 2:  # open, but there
-                branches.append(
-                    {"name": own, "element": f"{kind}.{name}", "start": ends[0], "end": ends[1],
-                     "closed": False, "amps": amps, **_own_impedance(name), "carried_kva": 0.0,
-                     "switch": True, "locked": switches.get(own, False)}
-                )  # fmt: skip
-            for bus in joined:
-                at = [i for i, node in enumerate(nodes) if node[0] == bus]
-                ends_here = [nodes[i] for i in at]
-                power = power_at_nominal(ends_here, y[np.ix_(at, at)], circuit.base_kv(bus))
-                shunts.append({"name": own, "bus": bus, "p_kw": power.real, "q_kvar": power.imag})
-    return branches, shunts
-
-
-def _switches(circuit: Circuit) -> dict[str, bool]:
-    """Lines that are switches, or have a control of one, and whether this is locked."""
-    found = {
-        name: False
-        for name in circuit.of("line")
-        if dss.Lines.Name(name) is None and dss.Lines.IsSwitch()
-    }
-    for name in circuit.of("swtcontrol"):
-        dss.SwtControls.Name(name)
-        kind, _, line = dss.SwtControls.SwitchedObj().lower().partition(".")
-        if kind == "line":
-            found[line] = bool(dss.SwtControls.IsLocked())
-    return found
-
-
-def _own_impedance(line: str) -> dict[str, Any]:
-    """Phases of an open line, with its series impedance as if it were closed; it charges nothing.
-
-    Its own admittances are those of no line.
-    """
-    element = dss.CktElement.Name()
-    dss.Lines.Name(line)
-    n, length = dss.Lines.Phases(), dss.Lines.Length()
-    z = [
-        (np.asarray(matrix, dtype=float) * length).tolist()
-        for matrix in (dss.Lines.RMatrix(), dss.Lines.XMatrix())
-    ]
-    dss.Circuit.SetActiveElement(element)
-    return {"phases": n, "z": z, "b": [0.0] * n**2}
-
-
-def _branch(
-    circuit: Circuit, name: str, kind: str, port: TwoPort, amps: float | None
-) -> dict[str, Any]:
-    """A branch with the impedance of its phases in ohm, and its charging in siemens."""
-    n = len(port.phases)
-    half = [rest[:n, :n] if len(rest) == n else np.zeros((n, n)) for rest in port.rest]
-    return {
-        "name": name,
-        "element": name if kind != "line" else f"line.{name}",
-        "start": port.start,
-        "end": port.end,
-        "closed": n > 0,
-        "amps": amps if kind == "line" else None,
-        "carried_kva": _carried_kva(circuit),
-        "phases": n,
-        "z": [port.z.real.ravel().tolist(), port.z.imag.ravel().tolist()],
-        "b": (half[0] + half[1]).imag.ravel().tolist(),
-    }
-
-
-def _carried_kva(circuit: Circuit) -> float:
-    """Current into the active element in the last solution, all phases, at nominal voltage."""
-    element = dss.CktElement.Name()
-    flat = np.asarray(dss.CktElement.CurrentsMagAng()[::2])
-    amps = float(flat[: dss.CktElement.NumPhases()].sum())
-    kv = circuit.base_kv(buses()[0]) / np.sqrt(3)
-    dss.Circuit.SetActiveElement(element)
-    return float(amps * kv)
-
-
-def rated_amps(amps: float) -> float | None:
-    """The rating of a line, None where it is what OpenDSS gives to lines without one."""
-    return None if amps == DEFAULT_AMPS else float(amps)
-
-
-def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
-    for name in circuit.of("transformer"):
-        if middle() is not None:
-            dss.Circuit.SetActiveElement(f"transformer.{name}")
-            yield _service(circuit, name)
-            continue
-        if name in circuit.stars:
-            yield from _legs_of_star(circuit, name)
-            continue
-        dss.Circuit.SetActiveElement(f"transformer.{name}")
-        first, second = windings = [Winding(number) for number in (1, 2)]
-        kv = [_in_use_kv(circuit, own, own.rated_kv) for own in windings]
-        phases = dss.CktElement.NumPhases()
-        percent = first.percent + second.r_pct
-        yield {
-            **_between(circuit, name, first, second.bus, kv, phases, circuit.phases(), percent),
-            **_core_percent(name),
-            "closed": len(buses_of(circuit.admittance()[0])) == 2,
-        }
-
-
-def _between(
-    circuit: Circuit,
-    name: str,
-    first: Side,
-    end: str,
-    kv: list[float],
-    phases: int,
-    nodes: list[int],
-    percent: complex,
-) -> dict[str, Any]:
-    """The active transformer between two buses, without its core."""
-    return {
-        "name": name,
-        "element": f"transformer.{name}",
-        "start": first.bus,
-        "end": end,
-        "closed": True,
-        "phases": phases,
-        "nodes": nodes,
-        "kv": kv,
-        "carried_kva": _carried_kva(circuit),
-        "r_percent": percent.real,
-        "kva": first.kva,
-        "x_percent": percent.imag,
-        "no_load_percent": 0.0,
-        "magnetising_percent": 0.0,
-    }
-
-
-def _core_percent(name: str) -> dict[str, float]:
-    """Losses and current of a transformer's core, in percent of its rating."""
-    return {
-        "no_load_percent": number(f"transformer.{name}.%noloadloss"),
-        "magnetising_percent": number(f"transformer.{name}.%imag"),
-    }
-
-
-def _in_use_kv(circuit: Circuit, own: Side, rated_kv: float) -> float:
-    """Voltage between lines of the turns of a winding that are in use."""
-    element = dss.CktElement.Name()
-    kv = _between_lines(rated_kv, circuit.base_kv(own.bus)) * own.tap
-    dss.Circuit.SetActiveElement(element)
-    return kv
-
-
-def stars_kv(circuit: Circuit) -> dict[str, float]:
-    """Nominal voltage between lines of each star: that of the first winding."""
-    found = {}
-    for name, (star, _) in circuit.stars.items():
-        dss.Circuit.SetActiveElement(f"transformer.{name}")
-        dss.Transformers.Name(name)
-        own = Winding(1)
-        found[star] = _between_lines(own.rated_kv, circuit.base_kv(own.bus))
-    return found
-
-
-def _legs_of_star(circuit: Circuit, name: str) -> Iterator[dict[str, Any]]:
-    """A transformer with three windings as one with two for each of them, to their star."""
-    star, phases = circuit.stars[name]
-    star_kv = stars_kv(circuit)[star]
-    dss.Circuit.SetActiveElement(f"transformer.{name}")
-    dss.Transformers.Name(name)
-    for number in (1, 2, 3):
-        own = Winding(number)
-        kv = [_in_use_kv(circuit, own, own.rated_kv), star_kv]
-        yield {
-            **_between(circuit, name, own, star, kv, len(phases), [*phases], own.percent),
-            "name": f"{name} winding {number}",
-            "carried_kva": MOST_KVA,
-        }
-
-
-def _cores(circuit: Circuit) -> Table:
-    """Cores of transformers with three windings, which OpenDSS has at the second."""
-    found: Table = []
-    for name in circuit.stars:
-        element = f"transformer.{name}"
-        dss.Circuit.SetActiveElement(element)
-        dss.Transformers.Name(name)
-        own = Winding(2)
-        base_kv = circuit.base_kv(own.bus)
-        kv = own.tap * _between_lines(own.rated_kv, base_kv)
-        share = own.kva * (base_kv / kv) ** 2 / 100.0
-        p_kw = share * number(f"{element}.%noloadloss")
-        q_kvar = share * number(f"{element}.%imag")
-        if p_kw or q_kvar:
-            found.append(
-                {"name": f"core of {name}", "bus": own.bus, "p_kw": p_kw, "q_kvar": q_kvar}
-            )
-    return found
-
-
-def _service(circuit: Circuit, name: str) -> dict[str, Any]:
-    """A transformer with its middle at ground, as one with two windings."""
-    own = ServiceTransformer(circuit)
-    first, second = own.windings
-    kv = [_in_use_kv(circuit, each, each.kv) for each in own.windings]
-    nodes = sorted({node for _, node in own.ends[:2]} & set(PHASES))
-    row = _between(circuit, name, first, second.bus, kv, 1, nodes, own.percent)
-    return {**row, **_core_percent(name)}
-
-
-def _between_lines(rated_kv: float, base_kv: float) -> float:
-    """A rated voltage between lines; that of a single phase may be to neutral."""
-    return float(min((rated_kv, rated_kv * np.sqrt(3)), key=lambda kv: abs(kv - base_kv)))
-
-
-def _causes(circuit: Circuit, solved: bool) -> Iterator[list[Any]]:
+def _causes(circuit: Circuit) -> Iterator[list[Any]]:
     """Causes of differences that the balanced equivalent of constant powers has, in kW."""
     drawn_kw: dict[str, float] = {}
     single_kw = 0.0
@@ -647,8 +380,6 @@ def _causes(circuit: Circuit, solved: bool) -> Iterator[list[Any]]:
         yield [kw, f"loads of {kind} in the source, {kw:.4g} kW"]
     if single_kw:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
-    if solved:
-        yield from beyond(circuit)
 
 
 def beyond(circuit: Circuit) -> Iterator[list[Any]]:
@@ -661,13 +392,9 @@ def beyond(circuit: Circuit) -> Iterator[list[Any]]:
         dss.Loads.Name(name)
         if dss.Loads.Model() == CONSTANT_IMPEDANCE or dss.Solution.LoadModel() == ADMITTANCE:
             continue
-        flat = np.asarray(dss.CktElement.Voltages())
-        volts = flat[::2] + 1j * flat[1::2]
-        n = dss.CktElement.NumPhases()
-        delta = bool(dss.Loads.IsDelta())
+        n, delta = dss.CktElement.NumPhases(), bool(dss.Loads.IsDelta())
         kv = float(dss.Loads.kV()) / (1.0 if delta or n == 1 else np.sqrt(3))
-        other = [volts[(i + 1) % len(volts)] if delta else volts[-1] for i in range(n)]
-        pu = [abs(volts[i] - other[i]) / (kv * V_PER_KV) for i in range(n)]
+        pu = [v / (kv * V_PER_KV) for v in coil_volts(delta)]
         if min(pu) < dss.Loads.Vminpu() or max(pu) > dss.Loads.Vmaxpu():
             found[f"load.{name} ({min(pu):.3f} pu)"] = dss.Loads.kW(), power_drawn().real
     if found:
@@ -687,118 +414,35 @@ def _first(names: Iterable[str]) -> str:
     return ", ".join(kept[:MOST_NAMED]) + more
 
 
-def _powers(circuit: Circuit, solved: bool) -> Iterator[dict[str, Any]]:
-    """Loads, generators and batteries with their powers."""
-    for kind in POWERS:
-        for name in circuit.of(kind):
-            bus = buses()[0]
-            nodes = circuit.phases()
-            yield {
-                "kind": kind,
-                "name": name,
-                "bus": bus,
-                "nodes": nodes,
-                **nominal(kind, name, solved),
-            }
-
-
 def _shapes(circuit: Circuit) -> dict[str, Any]:
     """Daily shapes that loads and PV follow over time: whose, and their values."""
     follows: dict[str, str] = {}
     for kind in ("load", "pvsystem"):
         for name in circuit.of(kind):
-            shape = text_of(f"{kind}.{name}.daily")
+            shape = text_of(f"{kind}.{name}", "daily").lower()
             if shape and shape != "default":
                 follows[f"{kind}.{name}"] = shape
     values = {}
     for shape in dict.fromkeys(follows.values()):
         dss.LoadShape.Name(shape)
-        values[shape] = {
-            "values": [float(each) for each in dss.LoadShape.PMult()],
-            "minutes": float(dss.LoadShape.MinInterval()),
-            "unit": "kw" if dss.LoadShape.UseActual() else "pu",
-        }
+        minutes = _minutes()
+        if minutes:
+            values[shape] = {
+                "values": [float(each) for each in dss.LoadShape.PMult()],
+                "minutes": minutes,
+                "unit": "kw" if dss.LoadShape.UseActual() else "pu",
+            }
+    follows = {element: shape for element, shape in follows.items() if shape in values}
     return {"follows": follows, "values": values}
 
 
-def _growth() -> float:
-    """Factor by which loads have grown in the year that the script sets."""
-    years = dss.Solution.Year() - 1
-    dss.Text.Command("get %growth")
-    return float((1.0 + float(dss.Text.Result()) / 100.0) ** years) if years >= 0 else 1.0
-
-
-def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
-    """Nominal power of a load, and what anything else gives or draws in the solution.
-
-    Generation is positive of generators, drawn power of loads and batteries. ``p_max_kw`` and
-    ``s_kva`` are the largest power and the rating, as far as the source says so.
-    """
-    if kind == "load":
-        dss.Loads.Name(name)
-        factor = dss.Solution.LoadMult() if int(dss.Loads.Status()) == VARIABLE else 1.0
-        factor *= _growth()
-        return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
-    element = f"{kind}.{name}"
-    dss.Circuit.SetActiveElement(element)
-    drawn = power_drawn() if solved else 0j
-    if kind == "generator":
-        dss.Generators.Name(name)
-        p_kw = float(dss.Generators.kW())
-        given = -drawn if solved else complex(p_kw, dss.Generators.kvar())
-        return {"p_kw": given.real, "q_kvar": given.imag, "p_max_kw": max(p_kw, given.real)}
-    if kind == "pvsystem":
-        s_kva = number(f"{element}.kva")
-        panel_kw = number(f"{element}.pmpp") * number(f"{element}.%pmpp") / 100.0
-        return {
-            "p_kw": -drawn.real,
-            "q_kvar": -drawn.imag,
-            "p_max_kw": min(s_kva, panel_kw),
-            "s_kva": s_kva,
-            "sunny_kw": number(f"{element}.pmpp") * number(f"{element}.irradiance"),
-        }
-    return {"p_kw": drawn.real, "q_kvar": drawn.imag, **_battery(element)}
-
-
-def _battery(element: str) -> dict[str, float]:
-    """Energy, powers and efficiencies of a battery."""
-    rated_kw = number(f"{element}.kwrated")
-    share = min(number(f"{element}.%charge"), number(f"{element}.%discharge"), 100.0) / 100.0
-    return {
-        "energy_kwh": number(f"{element}.kwhrated"),
-        "p_max_kw": rated_kw * share,
-        "s_kva": number(f"{element}.kva"),
-        "soc": number(f"{element}.%stored") / 100.0,
-        "soc_min": number(f"{element}.%reserve") / 100.0,
-        "eta_charge": number(f"{element}.%effcharge") / 100.0,
-        "eta_discharge": number(f"{element}.%effdischarge") / 100.0,
-        "idle_kw": rated_kw * number(f"{element}.%idlingkw") / 100.0,
-    }
-
-
-def _single_phases(circuit: Circuit) -> dict[str, list[int]]:
-    """Of each kind, how many elements have fewer than three phases, and how many there are."""
-    found = {}
-    for kind in ("line", "transformer", *POWERS):
-        phases = [_live_phases(circuit, kind) for _ in circuit.of(kind)]
-        few = sum(count < THREE_PHASES for count in phases)
-        if few:
-            found[kind] = [few, len(phases)]
-    return found
-
-
-def _live_phases(circuit: Circuit, kind: str) -> int:
-    """Phases that the active element has, less those with an open conductor at either end.
-
-    One that is open as a whole has all of them.
-    """
-    own = int(min(dss.CktElement.NumPhases(), len(circuit.phases()) or THREE_PHASES))
-    if kind != "line":
-        return own
-    if own < min(dss.CktElement.NumPhases(), THREE_PHASES):
-        return own
-    through = [all(ends) for ends in zip(*shut(), strict=True)]
-    return min(own, sum(through)) if any(through) else own
+def _minutes() -> float:
+    """Step of the active shape, from its hours where it has them; 0 if its steps are not alike."""
+    minutes = float(dss.LoadShape.MinInterval())
+    if minutes:
+        return minutes
+    apart = 60.0 * np.diff(np.asarray(dss.LoadShape.TimeArray(), dtype=float))
+    return float(apart[0]) if len(apart) and np.allclose(apart, apart[0]) else 0.0
 
 
 def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
@@ -808,7 +452,7 @@ def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
         "of single phases count as spread over three. Voltages are compared with the mean of the "
         "phases in OpenDSS's own solution of the circuit as it is."
     )
-    few, count = _single_phases(circuit).get("line", (0, 0))
+    few, count = single_phases(circuit).get("line", (0, 0))
     if few:
         yield (
             f"{few} of {count} lines have fewer than three phases; their impedance is "
@@ -872,7 +516,7 @@ def _notes_on_controls(circuit: Circuit, solved: bool) -> Iterator[str]:
             f"{left} ({_first(acting)})."
         )
     idle_kw = [
-        number(f"storage.{name}.kwrated") * number(f"storage.{name}.%idlingkw") / 100.0
+        number(f"storage.{name}", "kwrated") * number(f"storage.{name}", "%idlingkw") / 100.0
         for name in circuit.of("storage")
     ]
     if idle_kw:
@@ -885,15 +529,6 @@ def _notes_on_controls(circuit: Circuit, solved: bool) -> Iterator[str]:
                 "OpenDSS finds no solution. What storage in wye draws at rest may be why: it may "
                 "find one with '%idlingkw=0'."
             )
-
-
-def regulated(circuit: Circuit) -> dict[str, int]:
-    """Transformers with a regulator, and the winding whose taps it moves."""
-    found = {}
-    for name in circuit.of("regcontrol"):
-        dss.RegControls.Name(name)
-        found[dss.RegControls.Transformer().lower()] = int(dss.RegControls.TapWinding())
-    return found
 
 
 def _set_point(name: str) -> str:

@@ -7,7 +7,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from vppres.core.units import V_PER_KV, VA_PER_KVA
+
 N = TypeVar("N")
+
+ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
+"""Turns of phases a, b and c."""
 
 
 def beside(groups: Iterable[Sequence[N]]) -> dict[N, list[N]]:
@@ -40,3 +45,10 @@ def without(y: Any, gone: Sequence[int]) -> Any:
     kept = [i for i in range(len(y)) if i not in gone]
     own, across = y[np.ix_(kept, kept)], y[np.ix_(kept, gone)]
     return own - across @ np.linalg.pinv(y[np.ix_(gone, gone)]) @ across.T
+
+
+def power_at_nominal(nodes: Sequence[int], y: Any, base_kv: float) -> complex:
+    """Power of a matrix at the nominal voltages of its bus, in kW and kvar; neutrals have 0 V."""
+    phases = [i for i, node in enumerate(nodes) if 1 <= node <= len(ANGLES)]
+    v = base_kv * V_PER_KV / np.sqrt(3) * ANGLES[[nodes[i] - 1 for i in phases]]
+    return complex((v * np.conj(y[np.ix_(phases, phases)] @ v)).sum()) / VA_PER_KVA

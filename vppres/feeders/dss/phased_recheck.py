@@ -11,9 +11,8 @@ import pandas as pd
 from vppres.core.errors import VerificationError
 from vppres.core.units import V_PER_KV
 from vppres.feeders.closeness import extreme_times
-from vppres.feeders.dss.circuit import OpenDSSFlow
+from vppres.feeders.dss.circuit import OWN_SOURCES, OpenDSSFlow
 from vppres.feeders.dss.recheck import (
-    OWN_SOURCES,
     Recheck,
     Tables,
     drawn,
@@ -81,7 +80,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     ]
     steps = [{"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": None} for p, q in powers]
     job = {"off": OWN_SOURCES, "open_deltas": True, "assets": assets, "steps": steps}
-    job |= {"island_bus": None, "open": [], "disabled": flow.disabled, **flow.job}
+    job |= {"disabled": flow.disabled, **flow.job}
     found = solved_job(job, feeder.name)
     own_flow = flow_of_grid(phases, names, scenario.network.v_slack_pu)
     base_v = np.array([V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) for bus, _ in phases.nodes])

@@ -14,10 +14,10 @@ from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV, W_PER_KW
 from vppres.feeders.closeness import NO_SOLUTION, NOT_CONVERGED
+from vppres.feeders.dss.by_phase import CircuitByPhase, complexes
+from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.dss.nodes import beside, reached, without
-from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
-from vppres.feeders.strangers.confined import confined
 from vppres.io.messages import folded
 from vppres.physics.phases import PhasedFlow, admittances
 from vppres.scenario.earthing import with_grid
@@ -52,36 +52,32 @@ BEHIND = "vsource"
 Node = tuple[str, int]
 
 
-def phased_source(
-    job: dict[str, Any], name: str, feeder: ImportedFeeder, disabled: list[str]
-) -> PhasedSource:
+def phased_source(flow: OpenDSSFlow, feeder: ImportedFeeder) -> PhasedSource:
     """The three phases of a circuit whose balanced tree has been imported.
 
-    ``job`` has the commands that build it; ``feeder`` is the tree, with the name of each bus of the
-    circuit in ``source_flow``. Elements in ``disabled`` are out of service, less those the tree
-    alone cannot have: they join the source to a conductor that nothing else does.
+    ``feeder`` is the tree. What is out of service in it is so by phase, less what the tree alone
+    cannot have: elements that join the source to a conductor that nothing else does.
     """
-    found = confined("dss.by_phase", {**job, "disabled": disabled}, name, limit_s(job))
-    if found["problems"]:
-        problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
-        raise InputError(folded(problems))
-    flow: Any = feeder.source_flow
-    flow.disabled = [each for each in disabled if each not in found["kept"]]
+    found = flow.tables(by_phase=True)
+    own = CircuitByPhase(found)
+    if own.refused:
+        raise InputError(folded([Problem(flow.name, *each) for each in own.refused]))
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
     }
-    tables = _CircuitTables(found, name, at, feeder.network.slack_bus)
+    tables = _CircuitTables(own, flow.name, at, feeder.network.slack_bus)
     phases = tables.phases()
     loads, left_out = tables.powers()
     source = PhasedSource(with_grid(phases), tuple(loads), found["source"]["v_pu"])
-    difference_pu = _difference(source, found["v_pu"], found["source"]["bus"])
+    difference_pu = _difference(source, found["v_pu"])
     notes = (*_notes(source.phases), *_told_kept(found["kept"]), *left_out)
     if difference_pu is None:
         notes += (NO_SOLUTION if found["v_pu"] else NOT_CONVERGED,)
-    return replace(source, difference_pu=difference_pu, notes=notes, causes=tuple(found["causes"]))
+    causes = tuple(words for _, words in found["beyond"])
+    return replace(source, difference_pu=difference_pu, notes=notes, causes=causes)
 
 
-def _difference(source: PhasedSource, v_pu: Mapping[str, float], bus: str) -> float | None:
+def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None:
     """Largest difference of a node's voltage to ground from the source's, with its own powers."""
     if not v_pu:
         return None
@@ -129,40 +125,38 @@ class _CircuitTables:
     """
 
     def __init__(
-        self, found: Mapping[str, Any], name: str, at: Mapping[str, BusId], slack: BusId
+        self, own: CircuitByPhase, name: str, at: Mapping[str, BusId], slack: BusId
     ) -> None:
-        self.found = found
+        self.source, self.powers_of = own.found["source"], own.powers
         self.name = name
         self.at = dict(at)
         self.slack = slack
-        self.kv = {row["bus"]: row["kv"] for row in found["buses"]}
+        self.kv = {row["bus"]: row["kv"] for row in own.buses}
         self.behind = BEHIND
         while self.behind in self.kv:
             self.behind += "_"
         every = tuple(
             PhaseBus(row["bus"], at[row["bus"]], row["kv"], " ".join(row["phases"]))
-            for row in found["buses"]
+            for row in own.buses
             if row["bus"] in at and row["phases"]
         )
-        self.rest: list[tuple[str, list[int], Complexes]] = [
-            (row["bus"], row["phases"], _of(row["y"])) for row in found["shunts"]
-        ]
-        self.buses: list[Mapping[str, Any]] = [*found["buses"]]
-        self.lines: list[Mapping[str, Any]] = [*found["lines"]]
-        units = [each for each in found["transformers"] if each["rows"][0]["from_bus"] in at]
+        self.rest: list[tuple[str, list[int], Complexes]] = [*own.shunts()]
+        self.buses: list[Mapping[str, Any]] = [*own.buses]
+        self.lines: list[Mapping[str, Any]] = [*own.lines]
+        units = [each for each in own.transformers if each["rows"][0]["from_bus"] in at]
         rows = {row.bus: row for row in every}
         self.units = [unit for each in units for unit in self._transformer(each, rows)]
         self.reached = self._reached()
 
     def phases(self) -> Phases:
         """The tables without connections; the source is a bus of its own behind its impedance."""
-        source = self.found["source"]
+        source = self.source
         rows = [PhaseBus(self.behind, self.slack, source["kv"], " ".join(PHASES))]
         for row in self.buses:
             live = [p for p in row["phases"] if (row["bus"], PHASES.index(p)) in self.reached]
             if row["bus"] in self.at and live:
                 rows.append(PhaseBus(row["bus"], self.at[row["bus"]], row["kv"], " ".join(live)))
-        z, no_charging = _whole(_of(source["z"]), source["phases"]), np.zeros((3, 3))
+        z, no_charging = _whole(complexes(source["z"]), source["phases"]), np.zeros((3, 3))
         lines = [PhaseLine(self.behind, source["bus"], z, no_charging)]
         lines += [line for each in self.lines for line in self._line(each)]
         shunts = [row for each in self.rest for row in self._shunts(*each)]
@@ -171,9 +165,7 @@ class _CircuitTables:
 
     def _reached(self) -> set[Node]:
         """Nodes that lines and pairs of coils join to the source."""
-        groups: list[set[Node]] = [
-            {(self.found["source"]["bus"], phase) for phase in self.found["source"]["phases"]}
-        ]
+        groups: list[set[Node]] = [{(self.source["bus"], phase) for phase in self.source["phases"]}]
         for line in self.lines:
             ends = (line["from_bus"], line["to_bus"])
             groups += [{(bus, phase) for bus in ends} for phase in line["phases"]]
@@ -192,9 +184,9 @@ class _CircuitTables:
         yield PhaseLine(
             line["from_bus"],
             line["to_bus"],
-            _whole(_of(line["z"])[own], phases),
-            _whole(np.array(line["b_us"])[own], phases).real,
-            np.nan if line["i_max_a"] is None else line["i_max_a"],
+            _whole(line["z"][own], phases),
+            _whole(line["b_us"][own], phases).real,
+            line["i_max_a"],
         )
 
     def _transformer(
@@ -210,14 +202,12 @@ class _CircuitTables:
         lines = []
         for neutral in one["neutrals"]:
             row, end = next(side for side in sides if side[0][f"{side[1]}_bus"] == neutral["bus"])
-            inner, line = self._behind_neutral(
-                own[neutral["bus"]], row, end, complex(_of(neutral["z"]))
-            )
+            inner, line = self._behind_neutral(own[neutral["bus"]], row, end, neutral["z"])
             own[inner.bus] = inner
             lines.append(line)
         match = MATCH_BEHIND if lines else MATCH
         first = PhaseBus(self.behind, self.slack, 1.0, " ".join(PHASES))
-        known, y = Phases((first, *own.values()), tuple(lines)), _of(one["y"])
+        known, y = Phases((first, *own.values()), tuple(lines)), one["y"]
         ends = [(bus, phase) for bus, phase in one["nodes"]]
         star = [
             i for i, (bus, _) in enumerate(known.nodes) if bus not in {*dict(ends), self.behind}
@@ -270,9 +260,9 @@ class _CircuitTables:
             "from_bus": inner.bus,
             "to_bus": bus.bus,
             "phases": phases,
-            "z": {"re": z.real, "im": z.imag},
+            "z": z,
             "b_us": np.zeros((n, n)),
-            "i_max_a": None,
+            "i_max_a": np.nan,
         }
         self.lines.append(line)
         self.buses.append({"bus": inner.bus, "kv": inner.kv, "phases": bus.phases.split()})
@@ -317,13 +307,13 @@ class _CircuitTables:
         """Loads and generators with their connections, and sentences on those not supplied."""
         found: list[PhasedLoad] = []
         dead: list[str] = []
-        for row in self.found["powers"]:
+        for row in self.powers_of:
             bus, coils = row["bus"], [coil for coil in row["coils"] if coil]
             live = [
                 coil for coil in coils if all((bus, PHASES.index(p)) in self.reached for p in coil)
             ]
             share = len(live) / max(len(row["coils"]), 1)
-            if bus not in self.at or len(live) < len(coils):
+            if bus not in self.at or len(live) < len(row["coils"]):
                 lost_kw = row["p_kw"] * (1.0 if bus not in self.at else 1.0 - share)
                 dead.append(f"{row['kind']}.{row['name']} at bus {bus}, {lost_kw:.4g} kW")
             if bus in self.at and live:
@@ -342,10 +332,6 @@ def _pairs(unit: PhaseTransformer) -> list[set[Node]]:
         for bus, words in ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
     ]
     return [first | second for first, second in zip(*sides, strict=True)]
-
-
-def _of(parts: Mapping[str, Any]) -> Complexes:
-    return np.array(parts["re"]) + 1j * np.array(parts["im"])
 
 
 def _whole(values: Complexes | Floats, phases: list[int]) -> Complexes:

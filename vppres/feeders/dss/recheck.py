@@ -21,15 +21,12 @@ from vppres.core.errors import InputError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import script as dss_script
-from vppres.feeders.dss.circuit import located, read_opendss
+from vppres.feeders.dss.circuit import OWN_SOURCES, located, read_opendss
 from vppres.feeders.net.changes import PermittedChanges, changed
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.strangers.confined import confined
 from vppres.kinds.table import KINDS
 from vppres.scenario.network import BusId
-
-OWN_SOURCES = ("pvsystem", "generator", "storage")
-"""What the run has its own of, so that the circuit's is off."""
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
 STEPS_OF_A_LIMIT = 100.0
@@ -144,7 +141,6 @@ def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
 
 def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
     """Solve a job that has the circuit's commands, or return its problems."""
-    job = {"constant_power": False, **job}
     limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
     found = confined("dss.day", job, name, limit_s)
     if found["problems"]:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.core.errors import InputError, Problem, first_line
+from vppres.core.errors import InputError, Problem, VerificationError, first_line
 from vppres.core.text import named
 from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
 from vppres.feeders.dss.phases import flow_of_source, kept_phases
@@ -84,7 +84,14 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
         tables.phases(), tuple(_loads(net, feeder.bus_of)), feeder.network.v_slack_pu
     )
     flow, p_kw, q_kvar = flow_of_source(source)
-    ours = np.abs(flow.v_pu(flow.solve(p_kw, q_kvar).v))
+    try:
+        ours = np.abs(flow.v_pu(flow.solve(p_kw, q_kvar).v))
+    except VerificationError:
+        raise InputError.of(
+            name,
+            "has no solution of its own power flow by phase with its loads, while pandapower's has",
+            "Check the size of its loads, or: " + CURE[0].lower() + CURE[1:],
+        ) from None
     at = {str(own): solved.bus.index.get_loc(bus) for bus, own in feeder.bus_of.items()}
     theirs = np.concatenate([v_pu[at[row.bus]] for row in source.phases.buses])
     difference_pu = None if np.isnan(theirs).any() else float(np.abs(ours - theirs).max())

@@ -134,6 +134,7 @@ def feeder_of(
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
         title=_own_name(net),
         switches=switches_of(net, joined, ids, network),
+        source_solves=solved,
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-ENGINES = ("dss.engine", "dss.day", "dss.by_phase", "matpower.binary")
+ENGINES = ("dss.engine", "dss.day", "matpower.binary")
 """Modules of the room around this one."""
 
 MEMORY_BYTES = 2 * 2**30
