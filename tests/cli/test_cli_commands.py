@@ -339,6 +339,17 @@ def test_report_of_a_file(two_runs: list[Path]) -> None:
     )
 
 
+@pytest.mark.parametrize("name", ["x.txt", "report.pdf", "report"])
+def test_a_report_of_another_format_is_refused(
+    two_runs: list[Path], tmp_path: Path, name: str
+) -> None:
+    result = call("report", two_runs[0], "--out", tmp_path / name)
+    assert result.exit_code == 2 and not (tmp_path / name).exists()
+    assert result.stderr.endswith(
+        f"{name}: does not end in .html, the format of the file. Give a name that ends in .html.\n"
+    )
+
+
 def test_page_that_cannot_be_written(two_runs: list[Path], tmp_path: Path) -> None:
     (tmp_path / "letter").write_text("keep", encoding="utf-8")
     result = call("report", two_runs[0], "--out", tmp_path / "letter" / "report.html")

@@ -28,6 +28,7 @@ from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.reliability import reliability_by_tier
 from vppres.day.simulate import run_day
+from vppres.day.trajectory import taken
 from vppres.io.scenario_writer import write_scenario
 from vppres.model.site import Site
 from vppres.report.events import events_of
@@ -153,6 +154,34 @@ def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path
     assert store.outcomes() == {"ok": 2, "missed": 71}  # those that are forgotten too
     store.close()
     assert written(NOON) == "2026-11-21T12:00:00Z"
+
+
+def test_the_share_of_a_step_decided_anew_is_that_while_it_was_on(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """The shop has all for 15 minutes, a half for 15, and nothing for 30; homes 1, 1 and a half."""
+    day = site(tiny)
+    day = replace(day, customers=replace(day.customers, share_min=[1.0, 0.5, 0.5]))
+    shop = {"kind": "customers", "asset": "shop", "served": True, "share": 0.5}
+    homes = {"kind": "customers", "asset": "homes", "served": True, "share": 0.5}
+    clock, service = SetClock(NOON), Service(day, HERE)
+    with serving(service, tmp_path, clock) as (http, runner):
+        decided(http, clock, NOON)
+        for minutes, asked in ((15, [shop]), (30, [{**shop, "served": False}, homes])):
+            clock.set(NOON + minutes * MINUTE)
+            for one in asked:
+                if not one["served"]:
+                    one.pop("share")
+            mode = {"mode": "manual", "until": written(NOON + HOUR), "reason": "test"}
+            assert http.put("/v1/mode", {**mode, "setpoints": asked}).status == 200
+            assert runner.anew() is not None
+        run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    found = run.customers.set_index("id")
+    assert found["time_on"].to_dict() == {"hospital": 1.0, "shop": 0.5, "homes": 1.0}
+    shares = {"hospital": 1.0, "shop": 0.75, "homes": 0.75}
+    assert found["share"].to_dict() == pytest.approx(shares, abs=1e-5)
+    assert run.supplied[0] == pytest.approx([1.0, 0.375, 0.75], abs=1e-5)
+    assert taken(run.customers).tolist()[1] == 0.0
 
 
 MINUTE = pd.Timedelta("1min")

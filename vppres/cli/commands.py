@@ -282,7 +282,7 @@ def report(
 
     file = out or run_folder / REPORT_FILE
     if out is not None:
-        check_file(out)  # before the work, not after it
+        check_file(out, ".html")  # before the work, not after it
     browser = find_browser() if pdf else ""
     done = read_finished(run_folder)
     done = done if voll is None else priced(done, voll)

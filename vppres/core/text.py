@@ -47,14 +47,15 @@ def counted(count: int, one: str, many: str = "") -> str:
 
 
 def named(names: Iterable[object], most: int = 12) -> str:
-    """Names in a row; many are cut.
+    """Names in a row; many are cut, and those with commas are kept apart by semicolons.
 
-    >>> named(["a", "b", "c"], most=2)
-    'a, b and 1 more'
+    >>> named(["a", "b", "c"], most=2), named(["north, old", "south"])
+    ('a, b and 1 more', 'north, old; south')
     """
     words = [str(name) for name in names]
     more = f" and {len(words) - most} more" if len(words) > most else ""
-    return ", ".join(words[:most]) + more
+    between = "; " if any("," in word for word in words[:most]) else ", "
+    return between.join(words[:most]) + more
 
 
 def in_pounds(gbp: float, form: str) -> str:

@@ -76,13 +76,17 @@ def supplied(customers: pd.DataFrame) -> pd.Series[Any]:
     """
     if TIME_ON not in customers:
         return taken(customers)
-    # What one got while it was on is known only of the end of the step.
-    return customers[TIME_ON] * taken(customers).where(customers["served"], 1.0)
+    if SHARE not in customers:
+        return customers[TIME_ON]
+    # A share is the mean while it was on. Older exports have that of the end, and 0 of who is off.
+    return customers[TIME_ON] * customers[SHARE].where(customers[SHARE] > 0.0, 1.0)
 
 
 def taken(customers: pd.DataFrame) -> pd.Series[Any]:
     """The part of its demand that each customer takes at the end of each step."""
-    return customers[SHARE if SHARE in customers else "served"]
+    if SHARE not in customers:
+        return customers["served"]
+    return customers[SHARE].where(customers["served"], 0.0)
 
 
 def time_on(customers: pd.DataFrame) -> pd.Series[Any]:

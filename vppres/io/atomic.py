@@ -121,10 +121,16 @@ def check_target(target: str | Path) -> Path:
     return real
 
 
-def check_file(target: str | Path) -> Path:
-    """Refuse a file that cannot be written, before the work: a folder, a link, or such a place."""
+def check_file(target: str | Path, ending: str = "") -> Path:
+    """Refuse a file that cannot be written, before the work: a folder, a link, or such a place.
+
+    With an ``ending``, as ``.html``, also a name that promises another format.
+    """
     given = str(target)
     target = Path(target).absolute()
+    if not target.name.lower().endswith(ending):
+        cure = f"Give a name that ends in {ending}."
+        raise InputError.of(given, f"does not end in {ending}, the format of the file", cure)
     if target.is_symlink():
         raise InputError.of(
             given, "is a symbolic link", "Name the file itself, or choose another name."

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 
 from vppres.core.arrays import Wholes
 from vppres.core.errors import Problem
+from vppres.core.text import named
 from vppres.io import schema
 
 MAX_PROBLEMS_PER_FILE = 50
@@ -84,7 +85,7 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
     if near:
         return f"Did you mean {near[0]}?"
     if 0 < len(names) <= _MAX_NAMES_IN_CURE:
-        return f"{otherwise} Known: {', '.join(names)}."
+        return f"{otherwise} Known: {named(names)}."
     return otherwise
 
 

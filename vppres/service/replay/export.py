@@ -23,7 +23,7 @@ from vppres.core.errors import InputError
 from vppres.core.units import h_to_minutes
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
-from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
+from vppres.day.trajectory import LOSSES, SHARE, TIME_ON, Trajectory
 from vppres.io.times import option_time
 from vppres.live.profile import ClockProfile
 from vppres.model.site import Site
@@ -199,7 +199,10 @@ class Replay:
 
 
 def counted(replay: Replay, store: Store) -> Iterator[StepRecord]:
-    """The steps of a replay, in which supply counts by the parts of those decided anew."""
+    """The steps of a replay, in which supply counts by the parts of those decided anew.
+
+    The share of a customer is its mean while it was on.
+    """
     parts = replay.parts
     if all(len(each) < 2 for each in parts):
         yield from replay.records()
@@ -211,8 +214,12 @@ def counted(replay: Replay, store: Store) -> Iterator[StepRecord]:
         hours = np.array([one.hours for one in parts[t]] or [1.0])
         on = np.array([*(_on_in(one, t, replay, store) for one in earlier), ends_on], dtype=bool)
         losses = (np.vstack([before, on[:-1]]) & ~on).sum(axis=0)
-        share = hours @ on / hours.sum()
-        yield replace(record, customers={**record.customers, TIME_ON: share, LOSSES: losses})
+        columns = {**record.customers, TIME_ON: hours @ on / hours.sum(), LOSSES: losses}
+        if SHARE in columns:
+            shares = [*(_shares_in(one, replay) for one in earlier), columns[SHARE]]
+            got, in_full = hours @ (on * shares), hours @ on
+            columns[SHARE] = np.divide(got, in_full, out=np.zeros_like(got), where=in_full > 0.0)
+        yield replace(record, customers=columns)
         before = ends_on
 
 
@@ -242,6 +249,13 @@ def _on_in(part: StepPart, t: int, replay: Replay, store: Store) -> Flags:
     """Customers that were on in a part of a step, (C,)."""
     off = off_in(part, replay.stored[t], partial(replay.alone, t), replay.options, store)
     return np.array([str(name) not in off for name in replay.scenario.customers.id], dtype=bool)
+
+
+def _shares_in(part: StepPart, replay: Replay) -> Floats:
+    """Shares of their demand that customers were to get while they were on, (C,)."""
+    points = (one for one in part.setpoints if one["kind"] == "customers")
+    told = {str(one["asset"]): one.get("share", 1.0) for one in points}
+    return np.array([told.get(str(name), 1.0) for name in replay.scenario.customers.id])
 
 
 def _announced(scenario: Scenario, stored: Sequence[Plan], store: Store) -> tuple[Floats, Floats]:
