@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,12 @@ from tests.support.live_service import (
     site,
 )
 from vppres.contract.observation import Observation
+from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta("1h")
 LEARNING = replace(HERE, forecaster="seasonal")
@@ -63,6 +66,22 @@ def watch(runner: Runner) -> list[Observation]:
 
     decider.decide = noted  # type: ignore[method-assign]
     return seen
+
+
+def test_measurements_are_kept_as_the_history_that_they_are(tiny: Scenario, tmp_path: Path) -> None:
+    """A step in which nothing was read is no row, and not known in what is given back."""
+    load_kw = np.array([[1.0, np.nan, 3.0], [np.nan] * 3, [4.0, 5.0, 6.0], [np.nan] * 3])
+    pv_kw = np.array([[0.5, np.nan], [np.nan] * 2, [np.nan] * 2, [np.nan] * 2])
+    with closing(Store(tmp_path, "site")) as store:
+        assert store.measured(NOON, tiny.grid) is None
+        store.put_measured(History(NOON, tiny.grid.step_minutes, load_kw, pv_kw))
+        for since, first in ((NOON - HOUR, 0), (NOON + tiny.grid.step, 2)):
+            found = store.measured(since, tiny.grid)
+            assert found is not None
+            assert found.start == NOON + first * tiny.grid.step
+            assert np.array_equal(found.load_kw, load_kw[first:3], equal_nan=True)
+            assert np.array_equal(found.pv_kw, pv_kw[first:3], equal_nan=True)
+        assert store.measured(NOON + 3 * tiny.grid.step, tiny.grid) is None
 
 
 @pytest.mark.nightly

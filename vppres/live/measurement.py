@@ -153,12 +153,12 @@ class Measurement(ReadOfKinds):
 
 @contextmanager
 def reading(measured: Measurement) -> Iterator[None]:
-    """Whatever a measurement holds that cannot be read is refused, as it may come from any caller.
+    """Refuse what cannot be read of a measurement, which may come from any caller.
 
     Raises
     ------
     InputError
-        In place of other errors.
+        If it holds anything that cannot be read.
     """
     if not isinstance(measured, Measurement):
         raise InputError.of(
