@@ -20,7 +20,8 @@ from vppres.contract.observation import Observation
 from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
 from vppres.control.linearisation import BalancedLinearisation, Linearisation, Points
 from vppres.control.phased_window import PhasedLinearisation
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.control.unheld import UnheldSteps
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
 from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.beyond_paper.losses import lit_steps
@@ -95,11 +96,7 @@ class ConvergedPlanner:
         try:
             data, solution = self.decide(self._started_where_last(t0, start), start, first)
         except InfeasibleError:
-            beyond = self._beyond_batteries(start, first) | self._steps_beyond_set(
-                whole, dark, first
-            )
-            if not beyond.any():
-                beyond = self._steps_beyond_storage(whole, dark, first)
+            beyond = UnheldSteps(self.solver, self._at_rest, whole, dark, first).found(start)
             if not beyond.any():
                 raise
             dark = dark | beyond
@@ -240,69 +237,6 @@ class ConvergedPlanner:
             return data, solution
         stages = (*solution.stages, "unspent", *found.stages)
         return limited, replace(solution.carried_by(found.after(solution)), stages=stages)
-
-    def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
-        """Island steps that no supply schedule has a dispatch for: for capacitors, for example.
-
-        Rules on switching, which may ask for more supply than there is, count for nothing here.
-        """
-        beyond = np.zeros(start.n_steps, dtype=bool)
-        if start.drawn is None:
-            return beyond
-        free = replace(start, switching=None)
-        for step in np.flatnonzero(start.dark & lit_steps(start)):
-            try:
-                self.solver.solve(free.part(slice(step, step + 1)), deadline.left_s)
-            except InfeasibleError:
-                beyond[step] = True
-            except (NumericalError, LimitError):
-                pass  # not proven
-        return beyond
-
-    def _steps_beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
-        """Steps from the first on that the set which forms the grid cannot hold with any customers.
-
-        Nothing may take its least power, or its fuel may not last for all that has to be served.
-        """
-        formers = whole.ahead.formers().values()
-        none = np.zeros(whole.n_steps, dtype=bool)
-        formed = np.flatnonzero(sum((forms.any(axis=1) for forms in formers), start=none))
-        return self._not_held(whole, dark, formed, deadline)
-
-    def _steps_beyond_storage(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
-        """Island steps from which on batteries are full of what the network gives.
-
-        None where time is up before that is proven.
-        """
-        free = replace(whole, switching=None)
-        given = np.flatnonzero(whole.dark & (whole.network_gives_kw > 0.0) & ~dark)
-        beyond = np.zeros(whole.n_steps, dtype=bool)
-        if len(given) and not self._is_held(free, dark, deadline):
-            beyond = self._not_held(free, dark, given, deadline)
-        return beyond & (not deadline.passed)
-
-    def _not_held(self, whole: WindowData, dark: Flags, steps: Wholes, deadline: Deadline) -> Flags:
-        """The last of some steps, so many that a window is held without them, (W,).
-
-        With all of them lit it is not.
-        """
-        held, missed = 0, len(steps)
-        while missed - held > 1:
-            tried = (held + missed) // 2
-            later = np.isin(np.arange(whole.n_steps), steps[tried:])
-            if self._is_held(whole, dark | later, deadline):
-                held = tried
-            else:
-                missed = tried
-        return np.isin(np.arange(whole.n_steps), steps[held:])
-
-    def _is_held(self, whole: WindowData, dark: Flags, deadline: Deadline) -> bool:
-        """Whether a window has a dispatch with some steps blacked out."""
-        try:
-            self.solver.solve(self._at_rest(whole, dark), deadline.left_s)
-        except (InfeasibleError, NumericalError, LimitError):
-            return False
-        return True
 
     def _at_rest(self, whole: WindowData, dark: Flags) -> WindowData:
         """The window with its dark steps, in the linearisation that is known without a plan."""

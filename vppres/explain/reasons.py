@@ -242,12 +242,13 @@ def _from_the_record(step: Step, customer: int) -> Reason:
     if phase is not None:
         words = f"Not supplied: {phase_name(step, phase)} would be overloaded."
         return Reason("phase", "phase", words)
-    limits = step.limits
+    empty = step.recorded.soc_end[step.t] <= step.site.batteries.soc_min + 1e-3
+    low = step.recorded.v_ac_pu[step.t] <= step.scenario.network.v_min_pu + 2e-3
     found: tuple[tuple[bool, Scarce], ...] = (
-        (step.outage and len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
-        (step.outage and bool(limits.at_power.any()), "power"),
-        (step.outage and bool(limits.at_inverter.any()), "inverter"),
-        (bool(limits.low_voltage.any()), "voltage"),
+        (step.outage and len(empty) > 0 and bool(empty.all()), "energy"),
+        (step.outage and bool(step.at_power.any()), "power"),
+        (step.outage and bool(step.at_inverter.any()), "inverter"),
+        (bool(low.any()), "voltage"),
     )
     late = step.levels.late
     lacking = (
@@ -402,9 +403,9 @@ def _at_limit(step: Step, battery: int) -> Binding:
     """The limit that a battery reached in the step, empty if none."""
     b = step.site.batteries
     soc_end = float(step.recorded.soc_end[step.t][battery])
-    if step.limits.at_power[battery]:
+    if step.at_power[battery]:
         return "power"
-    if step.limits.at_inverter[battery]:
+    if step.at_inverter[battery]:
         return "inverter"
     edge = b.soc_max[battery] if step.battery_kw[battery] > 0 else b.soc_min[battery]
     return "energy" if abs(soc_end - edge) < 1e-3 else ""
@@ -447,7 +448,7 @@ def _no_more_stored(step: Step, bus: BusId) -> tuple[Binding, str]:
     if not there.any():
         return "power", "there is no battery to charge"
     full = step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3
-    at_limit = full | step.limits.at_power | step.limits.at_inverter
+    at_limit = full | step.at_power | step.at_inverter
     if full[there].all():
         return "energy", "the batteries are full"
     if at_limit[there].all():

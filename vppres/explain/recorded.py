@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -454,28 +454,4 @@ class Recorded:
             self.of_kind(kind, "q_kvar")
             if "q_kvar" in self.trajectory.tables[KINDS[kind].table]
             else 0.0 * self._given_kw(kind)
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class LimitsReached:
-    """Limits that a step's record itself shows as reached; for steps without shadow prices."""
-
-    empty: Flags
-    at_power: Flags
-    at_inverter: Flags
-    low_voltage: Flags
-
-    @classmethod
-    def of(cls, recorded: Recorded, t: int) -> LimitsReached:
-        """Limits reached in step ``t``, to 0.1% of each rating, 0.002 pu of the voltage."""
-        b = recorded.site.batteries
-        net = recorded.scenario.network
-        power = recorded.battery_kw[t]
-        apparent = np.hypot(power, recorded.batt_q_kvar[t])
-        return cls(
-            recorded.soc_end[t] <= b.soc_min + 1e-3,
-            np.abs(power) >= 0.999 * b.p_max_kw,
-            apparent >= 0.999 * b.s_max_kva,
-            recorded.v_ac_pu[t] <= net.v_min_pu + 2e-3,
         )

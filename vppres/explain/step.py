@@ -14,7 +14,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
-from vppres.explain.recorded import LimitsReached, Recorded
+from vppres.explain.recorded import Recorded
 from vppres.kinds.customer.physics import due
 from vppres.model.phases import GRID, phased_model
 from vppres.physics.phased_sources import buses_of
@@ -116,10 +116,16 @@ class Step:
         limit_h = self.site.customers.longest_off_h
         return np.asarray(self.outage & (off_h > 0.0) & due(limit_h, off_h, self.site.dt_h))
 
-    @cached_property
-    def limits(self) -> LimitsReached:
-        """Limits that the record alone shows as reached."""
-        return LimitsReached.of(self.recorded, self.t)
+    @property
+    def at_power(self) -> Flags:
+        """Batteries at their power rating, to 0.1%, (B,)."""
+        return np.asarray(np.abs(self.battery_kw) >= 0.999 * self.site.batteries.p_max_kw)
+
+    @property
+    def at_inverter(self) -> Flags:
+        """Batteries at their inverter rating, to 0.1%, (B,)."""
+        apparent = np.hypot(self.battery_kw, self.recorded.batt_q_kvar[self.t])
+        return np.asarray(apparent >= 0.999 * self.site.batteries.s_max_kva)
 
     @cached_property
     def spare_kw(self) -> float:
