@@ -32,15 +32,18 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import COLLAPSED_PU2, giving_way
-from vppres.model.phases import phased_model
-from vppres.model.ratings import loading_of_phases
+from vppres.model.phases import REACH, phased_model
+from vppres.model.ratings import loading_of_phases, with_ratings
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken
 from vppres.scenario.phases import PhaseShunt
 from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.solve.fleet.masters import fleets_of
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.injections import Injections
+from vppres.solve.phases import OF_RATING
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import find_solver, run
 
@@ -339,3 +342,43 @@ def test_batteries_do_not_change_hours_of_the_same_price_from_pass_to_pass(
     decision = first_plan(hard.between(0, 6 + hours))
     assert (decision.info.status, decision.info.passes) == ("optimal", 3)
     assert decision.dispatch.discharge_kw[:6].max() > 1.0
+
+
+@pytest.mark.daily
+def test_one_battery_bounds_all_of_a_phased_feeder(tmp_path: Path) -> None:
+    """Thousands by themselves take a minute to bound."""
+    day = day_of(CIRCUIT, tmp_path).between(13, 14)
+    b = day.batteries
+    empty = replace(b, soc_initial=np.where(b.grid_forming, b.soc_max, b.soc_min))
+    day = replace(day, batteries=empty, load_kw=4.0 * day.load_kw, pv_kw=0.0 * day.pv_kw)
+    planner, data = first_window(day, headroom=0.1)
+    most = []
+    for lumped in (True, False):
+        problem = fleet_problem(planner.solver.cache, data, lumped, integer=True, goal="service")
+        problem.write(data)
+        most.append(run(problem, find_solver("highs"), 0.0, 60.0).value)
+    assert fleets_of(data) == (True, False)
+    assert most[1] <= most[0] + 1e-6
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_rows_of_a_rating_are_exact_where_it_is_exceeded(
+    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assets far from a line, of few or of many of all, stay as they are in its rows."""
+    monkeypatch.setattr("vppres.solve.phases.FAR", share)
+    file = tmp_path / "small.dss"
+    file.write_text(CIRCUIT.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
+    planner, data = first_window(phased_day(file).between(8, 10), headroom=0.0)
+    site = planner.solver.site
+    data = with_ratings(replace(site, rated=True), data, give_way=False)
+    model = Injections(planner.solver.cache, data)
+    x = np.zeros(model.size)
+    x[model.at("x_served")] = 1.0
+    rows = [each for each in model.limits.exceeded(x, 0.0) if each.side == OF_RATING]
+    missed = np.concatenate([each.lower - each.matrix @ x for each in rows])
+    worst = (
+        loading_of_phases(site, data, *model.limits.drawn.at(x)) / data.require_phased().current_max
+    )
+    assert worst.max() - 1.0 <= missed.max() <= worst.max() / REACH - 1.0 + 1e-9

@@ -288,8 +288,12 @@ class WindowSolver:
         before: Dispatch | None = None,
         keeps_turns: bool = False,
     ) -> WindowSolution | None:
-        """Cheapest dispatch of a supply schedule within a window's limits, None if it has none."""
+        """Cheapest dispatch of a supply schedule within a window's limits, None if it has none.
+
+        Ratings that it exceeds are asked for in the time that is left.
+        """
         task = self._task(data, limits)
+        deadline = task.deadline
         if before is not None and keeps_turns:
             keep_dispatch(task, before.served, True, before, keeps_turns=True)
         if not task.certificate.answered:
@@ -303,17 +307,18 @@ class WindowSolver:
         # Soft ratings give way where the supply has no dispatch within them as they are.
         for give_way in (False, True) if self.site.soft_ratings else (True,):
             limited = with_ratings(self.site, data, give_way)
-            if not overloaded(self.site, limited, found.dispatch).any():
+            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
                 return found
-            kept = self._served(limited, limits, served)
+            kept = self._served(limited, limits.at_most(deadline.left_s), served)
             if kept is not None:
                 return kept
-        if before is None:
+        if before is None or deadline.passed:
             return found
         if not overloaded(self.site, limited, before, MOVED_SHARE).any():
             return None
         # A plan that exceeded ratings already has no set within them: they give way to it.
-        return self._served(with_ratings_given(self.site, data, before, 1.0), limits, served)
+        given = with_ratings_given(self.site, data, before, 1.0)
+        return self._served(given, limits.at_most(deadline.left_s), served)
 
     @one_at_a_time
     def fleet_bound(self, data: WindowData, within_s: float = math.inf) -> float:
