@@ -16,12 +16,13 @@ import pandas as pd
 import pytest
 from pandapower.pf.runpp_3ph import runpp_3ph
 
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, VerificationError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.new.assets import new_assets
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
+from vppres.physics.phases import PhasedFlow
 from vppres.physics.powerflow import ACPowerFlow
 
 AGREEMENT_PU = 1e-6
@@ -592,3 +593,14 @@ def test_odd_net_by_phase_has_its_own_voltages(change: Change, note: str) -> Non
     for bus, row in theirs.iterrows():
         for phase, value in zip("abc", row, strict=True):
             assert ours[str(feeder.bus_of[bus]), phase] == pytest.approx(value, abs=AGREEMENT_PU)
+
+
+def test_a_net_by_phase_without_a_solution_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pandapower's power flow has one, and the own one of the phases does not find it."""
+
+    def none_found(*_: object) -> None:
+        raise VerificationError("no solution")
+
+    monkeypatch.setattr(PhasedFlow, "solve", none_found)
+    with pytest.raises(InputError, match=r"has no solution of its own power flow .* --balance"):
+        import_network(street_by_phase())

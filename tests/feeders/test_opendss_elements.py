@@ -560,6 +560,7 @@ def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:
         assert scenario.pv_kw[:, 0] == pytest.approx([80.0 * hour / 100 for hour in range(24)])
 
 
+@pytest.mark.daily
 def test_shapes_with_hours_have_their_step(tmp_path: Path) -> None:
     even = "new loadshape.s npts=3 interval=0 hour=(0 .5 1) mult=(.5 .6 .7)"
     for shape, told in ((even, True), (even.replace(".5 1)", ".5 3)"), False)):
@@ -584,11 +585,26 @@ def test_a_fuse_stays_as_the_solution_leaves_it(tmp_path: Path) -> None:
     assert apart(import_network(file), file) < CLOSE_PU
 
 
+@pytest.mark.daily
+def test_a_battery_in_wye_where_nothing_is_grounded(tmp_path: Path) -> None:
+    """OpenDSS finds no number for what it draws at rest: that of IEEE 9500."""
+    lines = (
+        *BASE,
+        BANK.replace("transformer.t", "transformer.u").replace("(s m)", "(b e)")
+        .replace("delta wye", "delta delta").replace("12.47 4.16", "4.16 .48"),
+        "new storage.x bus1=e kv=.48 kva=50 kwrated=50 kwhrated=90 state=idling",
+    )  # fmt: skip
+    feeder = import_network(written(tmp_path, lines))
+    assert any("'%idlingkw=0'" in note for note in feeder.notes)
+    assert apart(feeder, written(tmp_path, (*lines, "storage.x.%idlingkw=0"))) < CLOSE_PU
+
+
 def test_a_load_at_ground_is_named(tmp_path: Path) -> None:
     feeder = import_network(written(tmp_path, (*BASE, "new load.e bus1=b.0 phases=1 kv=2.4 kw=40")))
     assert "Without supply, and left out: load.e at bus b, 40 kW." in feeder.notes
 
 
+@pytest.mark.daily
 def test_a_balanced_feeder_without_a_solution_of_its_own_is_refused(tmp_path: Path) -> None:
     """OpenDSS makes an impedance of 20 MW below ``vminpu``: the source is solved, the feeder not."""
     file = written(tmp_path, (*BASE[:3], "new load.e bus1=b kv=4.16 kw=20000"))

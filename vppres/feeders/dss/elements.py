@@ -28,6 +28,7 @@ class Circuit:
     """The engine's circuit: its elements, and those that are something else here."""
 
     ends_solved: bool = False  #: whether the script's last command has solved it
+    at_rest: bool = False  #: whether what storage draws at rest is left out of its solution
     #: Options of ``set`` that the script has and OpenDSS did not get.
     left_out: tuple[str, ...] = ()
     #: Controls that OpenDSS refuses, and why: without them the circuit is what it is.

@@ -87,7 +87,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "beyond": list(beyond(circuit)) if solved else [],
         "single_phases": single_phases(circuit),
         "balanced_notes": list(_notes_on_balance(circuit)),
-        "notes": list(_notes(circuit, solved)),
+        "notes": list(_notes(circuit)),
     }
 
 
@@ -114,7 +114,25 @@ def settled(circuit: Circuit) -> bool:
     if circuit.ends_solved and dss.Solution.Converged():
         return True  # as the script leaves it
     off = dss.Solution.ControlMode() == CONTROLS_OFF
-    return _solved(*(() if off else ("set controlmode=static", "set maxcontroliter=100")))
+    controls = () if off else ("set controlmode=static", "set maxcontroliter=100")
+    return _solved(*controls) or (_at_rest(circuit) and _solved(*controls))
+
+
+def _at_rest(circuit: Circuit) -> bool:
+    """Leave out what storage draws at rest, which in wye may be no number; whether there is any."""
+    if not sum(map(_idle_kw, circuit.names.get("storage", ()))):
+        return False
+    for command in ("batchedit storage..* %idlingkw=0", "set mode=direct", "solve"):
+        dss.Text.Command(command)
+    dss.Text.Command("set mode=snapshot")  # starts from there: voltages that are no numbers stay so
+    circuit.at_rest = True
+    return True
+
+
+def _idle_kw(storage: str) -> float:
+    """Power that a battery draws at rest."""
+    element = f"storage.{storage}"
+    return number(element, "kwrated") * number(element, "%idlingkw") / 100.0
 
 
 def solved_by_phase() -> bool:
@@ -460,7 +478,7 @@ def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
         )
 
 
-def _notes(circuit: Circuit, solved: bool) -> Iterator[str]:
+def _notes(circuit: Circuit) -> Iterator[str]:
     """Notes on elements that are modelled as something else, balanced or by phase."""
     if circuit.left_out:
         yield f"Options of 'set' are left out: {', '.join(circuit.left_out)}."
@@ -484,7 +502,7 @@ def _notes(circuit: Circuit, solved: bool) -> Iterator[str]:
             f"by phase in islands at nominal ones: {', '.join(held)}."
         )
     yield from _notes_on_legs(circuit)
-    yield from _notes_on_controls(circuit, solved)
+    yield from _notes_on_controls(circuit)
 
 
 def _notes_on_legs(circuit: Circuit) -> Iterator[str]:
@@ -498,7 +516,7 @@ def _notes_on_legs(circuit: Circuit) -> Iterator[str]:
         )
 
 
-def _notes_on_controls(circuit: Circuit, solved: bool) -> Iterator[str]:
+def _notes_on_controls(circuit: Circuit) -> Iterator[str]:
     """Notes on controls of the source, which stay in their last state."""
     acting = [
         element for element in circuit.elements
@@ -515,20 +533,16 @@ def _notes_on_controls(circuit: Circuit, solved: bool) -> Iterator[str]:
             f"Controls act in the source's solution, and what they switch or set stays so"
             f"{left} ({_first(acting)})."
         )
-    idle_kw = [
-        number(f"storage.{name}", "kwrated") * number(f"storage.{name}", "%idlingkw") / 100.0
-        for name in circuit.of("storage")
-    ]
-    if idle_kw:
+    if circuit.at_rest:
         yield (
-            f"What batteries draw while they rest is left out, {sum(idle_kw):.3g} kW in all; "
+            "OpenDSS finds no solution with what storage in wye draws at rest: its solution is the "
+            "one with '%idlingkw=0'."
+        )
+    if idle_kw := sum(map(_idle_kw, circuit.names.get("storage", ()))):
+        yield (
+            f"What batteries draw while they rest is left out, {idle_kw:.3g} kW in all; "
             "efficiencies of inverters at partial load too."
         )
-        if not solved:
-            yield (
-                "OpenDSS finds no solution. What storage in wye draws at rest may be why: it may "
-                "find one with '%idlingkw=0'."
-            )
 
 
 def _set_point(name: str) -> str:
