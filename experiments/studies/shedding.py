@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.studies.seeds import PATIENT
+from frame.seeds import PATIENT
 from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
