@@ -28,7 +28,7 @@ from rich.progress import track
 from benchmarks.cases import Case, cases, sample
 from benchmarks.clock import on_cpu_time
 from benchmarks.mechanisms import GROUPS, MECHANISMS, SOLVE, Mechanism
-from benchmarks.terminal import plain_errors
+from frame.terminal import plain_errors
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache

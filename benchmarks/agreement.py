@@ -22,10 +22,11 @@ from rich.progress import track
 from benchmarks.deadlines import by_processor
 from benchmarks.hard_days import KINDS, hard_window
 from benchmarks.licensed import ALL_SOLVERS, LICENSED
-from benchmarks.race import Runner, monolith
-from benchmarks.store import Row, Store
-from benchmarks.terminal import plain_errors
+from benchmarks.race import Runner
 from benchmarks.windows import NOT_ADMITTED
+from frame.store import Row, Store
+from frame.terminal import plain_errors
+from frame.whole import monolith
 from vppres.core.errors import SolveError
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver
@@ -123,7 +124,7 @@ def compare(runner: Runner, time_s: float) -> Row:
 def _once(runner: Runner, name: str, time_s: float) -> Row:
     """One solve of the whole problem, or that a licence does not admit it."""
     try:
-        found = monolith(runner, name, time_s)
+        found = monolith(runner.site, runner.data, ALL_SOLVERS[name], time_s)
     except Exception as error:  # a licensed solver's own class, which may not be installed
         if name not in LICENSED:
             raise

@@ -15,9 +15,9 @@ from benchmarks.race import draw_certified
 from benchmarks.race import summary as race_summary
 from benchmarks.report import Bar, Section
 from benchmarks.scaling import FITTED_BUSES, draw_scaling, exponents
-from benchmarks.store import Row
 from benchmarks.throughput import throughput_table
 from benchmarks.worker import worker_table
+from frame.store import Row
 
 MIN_RATIO = 25.0
 LONG_S = 1.0

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.random_feeders import random_rules
-from benchmarks.usual_battery import USUAL_BATTERY
+from frame.random_feeders import random_rules
+from frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power

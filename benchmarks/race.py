@@ -22,28 +22,23 @@ from benchmarks.deadlines import by_processor
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.licensed import ALL_SOLVERS
-from benchmarks.store import Row, Store
+from frame.store import Row, Store
+from frame.whole import BUSY, monolith
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
-from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.report.plots.drawing import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
-from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import run
+from vppres.solve.result import SolveLimits
 
 MONOLITHS = ("highs", "scip")
-SIDES = 16
 SLOWER = 2.0
 """Factor by which a window may be slower than the better monolith."""
 HEAD_START_S = 0.5
 """Seconds by which it may be slower besides."""
 CERTIFY_S = 10.0
 """Seconds in which a window is to be certified."""
-BUSY = 4.0
-"""Times that solvers get on the clock on the wall, of a busy machine: they know no other clock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +71,9 @@ def race(runner: Runner, busy: float = BUSY) -> Row:
     for solver in MONOLITHS if limit_s > 0.0 else ():
         row |= {
             f"{solver}_{key}": value
-            for key, value in monolith(runner, solver, limit_s, busy).items()
+            for key, value in monolith(
+                runner.site, runner.data, ALL_SOLVERS[solver], limit_s, busy
+            ).items()
         }
     return row
 
@@ -111,29 +108,6 @@ def ours(runner: Runner, busy: float = BUSY) -> Row:
         if not HEAD_START_S < row[name] < CERTIFY_S / 4.0:
             break  # what compiling took makes no difference
     return row
-
-
-def monolith(runner: Runner, solver: str, limit_s: float, busy: float = BUSY) -> Row:
-    """One solve of the whole problem with polygons, to the same gap."""
-    data = runner.data
-    cache = ModelCache(runner.site)
-    problem = window_problem(cache, data, Form(polygon_sides=SIDES))
-    problem.fill(data)
-    spec = ALL_SOLVERS[solver]
-    problem.compile()
-    everyone = runner.site.customers.weight.sum() * runner.site.dt_h * data.n_steps
-    gap = SolveLimits().absolute(float(everyone))
-    begin_s = time.process_time()
-    scale = objective_scale(runner.site)
-    outcome = run(problem, spec, gap, busy * limit_s, scale)
-    spent_s = time.process_time() - begin_s
-    late = outcome.status != Status.OPTIMAL or spent_s > limit_s
-    return {
-        "s": np.inf if late else spent_s,
-        "limit_s": limit_s,
-        "value": outcome.value,
-        "status": str(outcome.status),
-    }
 
 
 def with_verdict(rows: pd.DataFrame) -> pd.DataFrame:

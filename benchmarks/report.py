@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
-from benchmarks.pages import csv_table, save_figure, template_environment
+from frame.pages import csv_table, save_figure, template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text

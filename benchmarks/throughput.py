@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from benchmarks.day import error_settings
 from benchmarks.instances import packaged
-from benchmarks.store import Row, Store
+from frame.store import Row, Store
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 

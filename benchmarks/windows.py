@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.licensed import ALL_SOLVERS, LICENSED
-from benchmarks.store import Row, Store
+from frame.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site

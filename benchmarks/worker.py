@@ -11,7 +11,7 @@ import pandas as pd
 from rich.progress import Progress
 
 from benchmarks.instances import packaged
-from benchmarks.store import Row, Store
+from frame.store import Row, Store
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from benchmarks.pages import markdown_table, write_pages
 from experiments.report import machine
 from experiments.studies.random_days import small_day
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, write_pages
+from frame.seeds import (
     Study,
 )
 from vppres.contract.forecast import ForecastErrors

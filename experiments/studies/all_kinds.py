@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 import typer
 
-from benchmarks.pages import markdown_table, put_table
-from benchmarks.race import Runner, monolith
 from experiments.studies.precooling import heat_wave
+from frame.pages import markdown_table, put_table
+from frame.whole import monolith
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
@@ -29,6 +29,7 @@ from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
+from vppres.solve.solvers import SOLVERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- all kinds: begin -->", "<!-- all kinds: end -->"
@@ -143,7 +144,7 @@ def windows(seed: int, mode: str, priority: str) -> pd.DataFrame:
         row = {"cpu_s": cpu_s}
         if priority == WEIGHTS:
             solver = solvers[0]
-            found = monolith(Runner("", "", "", solver.site, solver.asked), "highs", LIMIT_S, 4.0)
+            found = monolith(solver.site, solver.asked, SOLVERS["highs"], LIMIT_S)
             row["whole_s"] = float(found["s"])
         rows.append(row)
     steps = day.recorder.finish(options.as_record()).steps

@@ -15,13 +15,13 @@ import typer
 from matplotlib.figure import Figure
 
 import data.uk_heatwave_2022.build as builder
-from benchmarks.pages import markdown_table, save_figure, write_pages
 from experiments.drawing import draw_grid
 from experiments.jobs import Day, scenario
 from experiments.report import machine
-from experiments.studies.paired import Estimate, by_seed
 from experiments.studies.random_days import DRAWINGS
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, save_figure, write_pages
+from frame.paired import Estimate, by_seed
+from frame.seeds import (
     Study,
 )
 from vppres.contract.forecast import ForecastErrors

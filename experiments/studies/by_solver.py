@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from benchmarks.pages import markdown_table
+from frame.pages import markdown_table
 from vppres import RunOptions, load_scenario
 from vppres.day.metrics import resilience
 from vppres.day.simulate import run_day

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from benchmarks.pages import markdown_table, write_pages
 from experiments.report import machine
 from experiments.studies.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.studies.faults import drawn_faults
 from experiments.studies.random_days import RandomDay, random_day
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, write_pages
+from frame.seeds import (
     Study,
 )
 from vppres.contract.observation import Observation

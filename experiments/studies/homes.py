@@ -15,12 +15,12 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from benchmarks.pages import markdown_table, save_figure, write_pages
 from data.homes.build import HELD_OUT, homes
 from experiments.drawing import draw_grid
 from experiments.report import machine
-from experiments.studies.paired import Estimate, by_seed
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, save_figure, write_pages
+from frame.paired import Estimate, by_seed
+from frame.seeds import (
     Study,
 )
 from vppres.core.arrays import Floats

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import typer
 
-from benchmarks.random_feeders import random_scenario
-from experiments.studies.seeds import Days, FirstSeed
+from frame.random_feeders import random_scenario
+from frame.seeds import Days, FirstSeed
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import VppresError
 from vppres.day.metrics import resilience

@@ -18,8 +18,8 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.pages import markdown_table, put_table, write_pages
-from experiments.studies.seeds import STUDIES
+from frame.pages import markdown_table, put_table, write_pages
+from frame.seeds import STUDIES
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day

@@ -20,11 +20,11 @@ import pandas as pd
 import typer
 from scipy.special import ndtr, ndtri
 
-from benchmarks.pages import markdown_table, write_pages
 from experiments.report import machine
 from experiments.studies.outage_days import Outage, OutageClimate, OutageDay, draw_outage_day
-from experiments.studies.paired import by_seed
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, write_pages
+from frame.paired import by_seed
+from frame.seeds import (
     Study,
 )
 from vppres.core.arrays import Flags, Floats

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from benchmarks.pages import markdown_table
+from frame.pages import markdown_table
 from vppres import RunOptions, load_scenario
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation

@@ -22,11 +22,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
-from benchmarks.pages import markdown_table, put_table, write_pages
-from benchmarks.terminal import plain_errors
 from experiments.studies.networks import ACCEPT, CURES, in_pu
 from experiments.studies.opendss_itself import Itself
-from experiments.studies.seeds import STUDIES
+from frame.pages import markdown_table, put_table, write_pages
+from frame.seeds import STUDIES
+from frame.terminal import plain_errors
 from vppres.core.errors import InputError, VppresError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source

@@ -9,8 +9,8 @@ import pandas as pd
 from numpy.random import Generator
 
 import data.uk_heatwave_2022.build as builder
-from benchmarks.usual_battery import USUAL_BATTERY
 from experiments.jobs import Day, scenario
+from frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.scenario.assets import Batteries, Customers, PVSystems

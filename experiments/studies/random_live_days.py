@@ -29,13 +29,13 @@ import pandas as pd
 import typer
 from paho.mqtt.client import MQTTMessage
 
-from benchmarks.pages import markdown_table, write_pages
 from experiments.report import machine
 from experiments.studies.random_days import small_day
-from experiments.studies.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from experiments.studies.shedding import Judge
 from experiments.studies.watched import guard_of
 from experiments.studies.within import Within
+from frame.pages import markdown_table, write_pages
+from frame.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from vppres.core.arrays import Floats
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions

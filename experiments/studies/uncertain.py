@@ -21,8 +21,6 @@ import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
-from benchmarks.pages import markdown_table, save_figure, write_pages
-from benchmarks.terminal import Scheduler
 from experiments.drawing import draw_grid
 from experiments.report import machine
 from experiments.studies.outage_days import (
@@ -38,8 +36,9 @@ from experiments.studies.outage_days import (
     with_notices,
     with_outage_day,
 )
-from experiments.studies.paired import Estimate, by_seed
-from experiments.studies.seeds import (
+from frame.pages import markdown_table, save_figure, write_pages
+from frame.paired import Estimate, by_seed
+from frame.seeds import (
     STUDIES,
     Days,
     FirstSeed,
@@ -48,6 +47,7 @@ from experiments.studies.seeds import (
     Span,
     Study,
 )
+from frame.terminal import Scheduler
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats

@@ -21,10 +21,10 @@ from benchmarks.findings import deadline_bars, scaling_bars
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.report import BEGIN, END, Section, publish
 from benchmarks.scaling import exponent
-from benchmarks.store import Store
 from benchmarks.throughput import rates, throughput_table
 from benchmarks.windows import NOT_ADMITTED
 from benchmarks.worker import summary
+from frame.store import Store
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.solve.deadline import Stopwatch
 

@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 import experiments.__main__ as command
-from benchmarks.terminal import INTERRUPTED
 from experiments import runner
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
@@ -23,6 +22,7 @@ from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
+from frame.terminal import INTERRUPTED
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions

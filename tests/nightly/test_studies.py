@@ -13,8 +13,8 @@ from experiments.studies import campaign
 from experiments.studies.baselines import CONTROLLERS, Run, column, figure, write_report
 from experiments.studies.campaign import StepToJudge, judge, run_one
 from experiments.studies.faults import drawn_faults
-from experiments.studies.paired import Estimate
 from experiments.studies.random_days import RandomDay, random_day, small_day
+from frame.paired import Estimate
 from tests.support.mutations import refuted
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller

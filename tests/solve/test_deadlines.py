@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.instances import Instance, packaged, read_instances, window_data
-from benchmarks.random_feeders import random_window
+from frame.random_feeders import random_window
 from tests.support.small_windows import window
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.random_feeders import Window, random_window
+from frame.random_feeders import Window, random_window
 from vppres.kinds.export.physics import Export
 
 

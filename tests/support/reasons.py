@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 
 from experiments.studies.random_days import small_day
-from experiments.studies.seeds import PATIENT
+from frame.seeds import PATIENT
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.planner import OnePass
 from vppres.core.arrays import Floats

@@ -1,4 +1,4 @@
-"""What the commands of experiments and benchmarks show on the terminal."""
+"""Terminal output of the commands of studies and benchmarks."""
 
 from __future__ import annotations
 

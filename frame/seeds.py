@@ -1,4 +1,4 @@
-"""What the studies of many days share: their options, the days of consecutive seeds, their end."""
+"""Studies of many days: their options, the days of consecutive seeds, their report."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 import typer
 from pydantic import TypeAdapter
 
-from benchmarks.terminal import Scheduler, bar_of, plain_errors, show_report
+from frame.terminal import Scheduler, bar_of, plain_errors, show_report
 from vppres.io.atomic import atomic_write_text
 from vppres.solve.result import SolveLimits
 from vppres.studies.side_by_side import FailedJob, Where, identity, map_unordered
@@ -78,7 +78,7 @@ class Kept(Generic[T]):
 
     def _file(self, seed: int) -> Path:
         name = f"{self.run.__module__}.{self.run.__qualname__}"
-        inputs = {"run": name, "seed": seed, **identity("experiments")}
+        inputs = {"run": name, "seed": seed, **identity("experiments"), **identity("frame")}
         digest = sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
         return self.folder / f"{digest}.json"
 

@@ -1,0 +1,1 @@
+"""What studies and benchmarks share: made-up days, runs over seeds, tables and pages."""
