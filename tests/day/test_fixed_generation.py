@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
@@ -17,11 +18,15 @@ GIVEN_KW = 20.0
 
 
 def run_of(
-    load_kw: float, grid_limit_kw: list[float], soc: float, method: str = "decomposed"
+    load_kw: float,
+    grid_limit_kw: list[float],
+    soc: float,
+    method: str = "decomposed",
+    export_limit_kw: float = np.inf,
 ) -> Trajectory:
     """A customer, a battery of 100 kWh and 50 kW without losses, and 20 kW of fixed generation."""
     day = two_buses([[load_kw]] * len(grid_limit_kw), [1.0], grid_limit_kw)
-    day = replace(day, export_limit_kw=np.array(np.inf))
+    day = replace(day, export_limit_kw=np.array(export_limit_kw))
     network = Network(
         [1], [2], [0.001], [0.001], slack_bus=1, base_kv=11.0,
         drawing_bus=[2], p_fixed_kw=[-GIVEN_KW],
@@ -44,6 +49,23 @@ def test_what_exceeds_the_demand_is_exported(method: str) -> None:
     given_kw = (run.batteries["discharge_kw"] - run.batteries["charge_kw"]).to_numpy()
     import_kw = run.steps["p_grid_kw"].to_numpy()
     assert import_kw == pytest.approx(5.0 - GIVEN_KW - given_kw, abs=1e-3)
+
+
+@pytest.mark.parametrize(("limit_kw", "soc", "beyond_kw", "steps"), [
+    (0.0, 0.85, 15.0, "1 step"), (4.0, 1.0, 11.0, "2 steps"),
+])  # fmt: skip
+def test_what_nothing_takes_is_told(
+    limit_kw: float, soc: float, beyond_kw: float, steps: str
+) -> None:
+    """15 kW are left, and a battery with room takes them for an hour; the customer stays on."""
+    run = run_of(5.0, [OPEN] * 2, soc, export_limit_kw=limit_kw)
+    assert run.customers["served"].all()
+    words = [one for one in summarise(run)["cautions"] if one.startswith("Fixed generation")]
+    assert words == [
+        "Fixed generation is more than demand, batteries and the export limit take, by up to "
+        f"{beyond_kw:.1f} kW in {steps}: it cannot be curtailed, and flows to the grid all "
+        "the same."
+    ]
 
 
 @pytest.mark.parametrize("method", ["decomposed", "monolithic"])

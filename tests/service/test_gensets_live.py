@@ -92,6 +92,24 @@ def test_fuel_is_read_or_the_least_that_the_line_leaves() -> None:
     assert "fuel_litres" not in step.solve["estimated"]
 
 
+def test_a_gauge_whose_clock_is_ahead_does_not_stand_still_when_its_next_reading_is_lost() -> None:
+    """A reading is dated 90 s after the decision that knew it: a step later it is no new one."""
+    day = powered([DARK] * 6)
+    controller = Controller.of(day, OPTIONS)
+    first, second, third = day.grid.times[:3]
+
+    def words(now: pd.Timestamp, read: pd.Timestamp) -> str:
+        at = {"fuel_litres": {"g0": read}}
+        told = Measurement(now, fuel_litres={"g0": 150.0}, read_at=at, running={"g0": 1})
+        return str(controller.step(told).solve["estimated"])
+
+    ahead = first + pd.Timedelta("90s")
+    assert words(first, ahead) == ""
+    assert words(second, ahead).endswith("(missing)")
+    # One that is sent anew and still says the same does stand still.
+    assert words(third, third).endswith("(frozen)")
+
+
 def test_a_coarse_gauge_may_stand_still_for_a_twentieth_of_the_tank() -> None:
     day = powered([DARK] * 3, tank_litres=1000.0, fuel_level_litres=1000.0)
     controller = Controller.of(day, OPTIONS)

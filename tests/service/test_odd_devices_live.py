@@ -161,6 +161,26 @@ def test_a_thermometer_that_stands_still_while_the_room_swings_is_found() -> Non
     assert words == ["", "", "", "indoor_c h0 23.2 (frozen)"]
 
 
+def test_a_thermometer_whose_clock_is_ahead_does_not_stand_still_when_its_next_reading_is_lost() -> (
+    None
+):
+    """A reading is dated 90 s after the decision that knew it: a step later it is no new one."""
+    day = hot([DARK] * 4, c_kwh_per_c=0.5)
+    controller = Controller.of(day, RunOptions(mode="paper", isolate=False))
+    first, second, third = day.grid.times[:3]
+
+    def words(now: pd.Timestamp, read: pd.Timestamp) -> str:
+        at = {"indoor_c": {"h0": read}}
+        told = Measurement(now, indoor_c={"h0": 24.0}, read_at=at)
+        return str(controller.step(told).solve["estimated"])
+
+    ahead = first + pd.Timedelta("90s")
+    assert words(first, ahead) == ""
+    assert words(second, ahead).endswith("(missing)")
+    # One that is sent anew and still says the same does stand still.
+    assert words(third, third).endswith("(frozen)")
+
+
 def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
     tiny: Scenario, tmp_path: Path
 ) -> None:

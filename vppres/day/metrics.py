@@ -31,6 +31,9 @@ MPC = "mpc"
 AT_RATING = 0.95
 """Loading from which a line counts as at its rating: plans count with the lowest voltage."""
 
+SURPLUS_KW = 0.05
+"""Power beyond the export limit that the tolerances of plans and power flow explain."""
+
 OFF_SHOWN = 5
 """Customers named in one sentence."""
 
@@ -101,6 +104,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
         *unknown_phases(trajectory.scenario),
         *inversion_words(trajectory),
         *headroom_words(trajectory),
+        *surplus_words(trajectory),
         *without_effect(trajectory),
     ]
 
@@ -130,6 +134,23 @@ def fault_words(trajectory: Trajectory) -> list[str]:
     return [
         f"Blacked out for {count * dt_h:g} customer hours: {reason}."
         for reason, count in counts.items()
+    ]
+
+
+def surplus_words(trajectory: Trajectory) -> list[str]:
+    """Fixed generation that neither demand, batteries nor the grid may take, in a sentence."""
+    scenario = trajectory.scenario
+    if scenario.network.p_fixed_kw.sum() >= 0.0:
+        return []
+    most_kw = scenario.export_max_kw[: len(trajectory.steps)]
+    beyond_kw = -trajectory.steps["p_grid_kw"].to_numpy(float) - most_kw
+    found = ~scenario.outage[: len(beyond_kw)] & (beyond_kw > SURPLUS_KW)
+    if not found.any():
+        return []
+    return [
+        f"Fixed generation is more than demand, batteries and the export limit take, by up to "
+        f"{beyond_kw[found].max():,.1f} kW in {counted(int(found.sum()), 'step')}: it cannot be "
+        "curtailed, and flows to the grid all the same."
     ]
 
 

@@ -17,6 +17,9 @@ from vppres.core.errors import InputError, Problem
 ROUNDING_H = 1e-9
 """By how much times that are added up may be off."""
 
+EARLY_SHARE = 0.1
+"""Share of a step by which clocks may be off: those of readings, and our own that is set back."""
+
 
 class KindTable(Items):
     """A file of a kind in a scenario's folder: arrays by column.

@@ -13,7 +13,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.plain import number_or_none
 from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate, Rooms
-from vppres.kinds.kind import ROUNDING_H, Moment, UnitsNow
+from vppres.kinds.kind import EARLY_SHARE, ROUNDING_H, Moment, UnitsNow
 from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
 
@@ -109,9 +109,13 @@ class Felt:
         return np.asarray(self.rests_at_c + (t_c - self.rests_at_c) * kept)
 
     def read_now(self, moment: Moment, read: ReadRooms) -> Floats:
-        """Readings with what set-points made of them since; NaN of those known before, (H,)."""
+        """Readings with what set-points made of them since; NaN of those known before, (H,).
+
+        One that a clock ahead dates a little later than the last decision was known then.
+        """
         read_h = moment.at_h - read.age_h
-        known = (read_h <= self.at_h + ROUNDING_H) & (read.t_c == self.read_c)
+        early_h = EARLY_SHARE * moment.window.grid.dt_h
+        known = (read_h <= self.at_h + early_h) & (read.t_c == self.read_c)
         known |= read_h < self.at_h - ROUNDING_H
         held_h = moment.held_h(self.at_h) - moment.held_h(self.at_h, read.age_h)
         return np.where(known, np.nan, self.followed(read.t_c, moment, held_h))

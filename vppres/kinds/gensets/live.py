@@ -18,7 +18,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
 from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.kinds.kind import Moment, UnitsNow
+from vppres.kinds.kind import EARLY_SHARE, Moment, UnitsNow
 from vppres.live.range import (
     NUMBER,
     POWER,
@@ -169,7 +169,7 @@ class SetsNow(UnitsNow):
         gone_h = at_h - past.at_h
         runs = _Running.of(told, past, by_others, gone_h, dt_h)
         burning_h = np.where(runs.on | by_others, gone_h, min(gone_h, dt_h))
-        fuel = _Fuel.of(sets, told, past, runs, burning_h, added, gone_h)
+        fuel = _Fuel.of(sets, told, past, runs, burning_h, added, gone_h, EARLY_SHARE * dt_h)
         unread = np.isnan(told.power_kw)
         gave_kw = np.where(unread, past.power_kw, told.power_kw)
         # A mean is less than the least power where the set started within it.
@@ -279,6 +279,7 @@ class _Fuel:
         burning_h: Floats,
         added: Floats,
         since_h: float,
+        early_h: float,
     ) -> _Fuel:
         """Fuel that is left after so many hours of burning and what was delivered."""
         burnt = _burnt_litres(sets, told, past, runs.on, runs.never)
@@ -290,7 +291,8 @@ class _Fuel:
         told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
         age_h = told.gauge_age_h
         same = told_litres == past.read_litres
-        known = (age_h > since_h + ROUNDING_H) | (same & (age_h > since_h - ROUNDING_H))
+        # One that a clock ahead dates a little later than the last decision was known then.
+        known = (age_h > since_h + ROUNDING_H) | (same & (age_h > since_h - early_h))
         gauged = np.isfinite(told_litres) & ~(known & np.isfinite(past.read_litres))
         still = gauged & same
         # What it has burnt since the gauge was read.

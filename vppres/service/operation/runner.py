@@ -23,6 +23,7 @@ from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.day.trajectory import SWITCHES_OPEN
+from vppres.kinds.kind import EARLY_SHARE
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
@@ -59,7 +60,6 @@ from vppres.service.storage.records import DECIDED, After, Asked, Reading, Writt
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import Changes
 from vppres.service.telemetry.grid_readings import (
-    EARLY_SHARE,
     GRID_ON,
     IMPORT,
     contradiction,

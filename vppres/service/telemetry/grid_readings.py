@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from vppres.control.guard.balance import tolerance_kw
+from vppres.kinds.kind import EARLY_SHARE
 from vppres.live.by_phase import GRID
 from vppres.service.clock import written
 from vppres.service.events.announced import announced_at
@@ -12,9 +13,6 @@ from vppres.service.storage.records import Reading, moment, seconds
 from vppres.service.storage.store import Store
 
 GRID_ON, IMPORT = "grid_on", "import_kw"
-
-EARLY_SHARE = 0.1
-"""Share of a step by which clocks may be off: those of readings, and our own that is set back."""
 
 AGAIN_S = 10
 """Within which a reading that stands alone is to be sent again."""

@@ -18,6 +18,7 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
+from vppres.kinds.kind import EARLY_SHARE
 from vppres.kinds.table import parts
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
@@ -42,7 +43,7 @@ from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
 from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
-from vppres.service.telemetry.grid_readings import EARLY_SHARE, contradiction, stands_alone
+from vppres.service.telemetry.grid_readings import contradiction, stands_alone
 from vppres.service.telemetry.lost import lost_customers, undimmed_customers
 from vppres.service.telemetry.phased_readings import stored, sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
