@@ -24,7 +24,7 @@ def _watched(guard: GuardedController, observation: Observation) -> Decision:
     return decision
 
 
-GuardedController.decide = _watched  # type: ignore[method-assign]
+GuardedController.decide = _watched  # type: ignore[method-assign,assignment]
 
 
 def guard_of(controller: Controller) -> tuple[GuardedController, Observation]:

@@ -32,8 +32,8 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import COLLAPSED_PU2, giving_way
-from vppres.model.phases import REACH, phased_model
-from vppres.model.ratings import loading_of_phases, with_ratings
+from vppres.model.phases import phased_model
+from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken
@@ -42,8 +42,6 @@ from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.solve.fleet.masters import fleets_of
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.injections import Injections
-from vppres.solve.phases import OF_RATING
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import find_solver, run
 
@@ -359,26 +357,3 @@ def test_one_battery_bounds_all_of_a_phased_feeder(tmp_path: Path) -> None:
         most.append(run(problem, find_solver("highs"), 0.0, 60.0).value)
     assert fleets_of(data) == (True, False)
     assert most[1] <= most[0] + 1e-6
-
-
-@pytest.mark.daily
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_rows_of_a_rating_are_exact_where_it_is_exceeded(
-    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assets far from a line, of few or of many of all, stay as they are in its rows."""
-    monkeypatch.setattr("vppres.solve.phases.FAR", share)
-    file = tmp_path / "small.dss"
-    file.write_text(CIRCUIT.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
-    planner, data = first_window(phased_day(file).between(8, 10), headroom=0.0)
-    site = planner.solver.site
-    data = with_ratings(replace(site, rated=True), data, give_way=False)
-    model = Injections(planner.solver.cache, data)
-    x = np.zeros(model.size)
-    x[model.at("x_served")] = 1.0
-    rows = [each for each in model.limits.exceeded(x, 0.0) if each.side == OF_RATING]
-    missed = np.concatenate([each.lower - each.matrix @ x for each in rows])
-    worst = (
-        loading_of_phases(site, data, *model.limits.drawn.at(x)) / data.require_phased().current_max
-    )
-    assert worst.max() - 1.0 <= missed.max() <= worst.max() / REACH - 1.0 + 1e-9

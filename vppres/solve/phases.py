@@ -56,11 +56,6 @@ MORE_ROOM = 4.0 * OVER
 """Share by which a phase of the former may be fuller than a linear problem lets it be, in cones: a
 linear solution that uses all that it may has no inside else."""
 
-FAR = 1e-4
-"""Share of a current's largest factor below which an asset is far from it. Each asset changes each
-current a little, by what cables charge and neutrals share: rows with thousands of such factors took
-nearly all the time of a window."""
-
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
 
@@ -157,7 +152,7 @@ class PhaseLimits:
         least = -np.sort(-beyond, axis=1)[:, :MOST_NEW][:, -1:]
         farthest = (beyond > over) & (beyond >= least)
         return self._sides(
-            currents, offset, room, lambda slopes: slopes.of_currents, farthest, OF_RATING, drawn
+            currents, offset, room, lambda slopes: slopes.of_currents, farthest, OF_RATING
         )
 
     @staticmethod
@@ -174,12 +169,10 @@ class PhaseLimits:
         of: OfSlopes,
         which: Flags,
         kind: int,
-        drawn: tuple[Floats, Floats] | None = None,
     ) -> list[PhaseRows]:
         """Of some discs, (W, k), the side of its polygon that a value is at, and those beside.
 
-        Rows are in shares of what the disc allows. Of a solution's powers that are ``drawn``, those
-        of assets that are far stay as they are: where they move a value beyond, it gets a row more.
+        Rows are in shares of what the disc allows.
         """
         steps, places = np.nonzero(which)
         if not len(steps):
@@ -193,12 +186,6 @@ class PhaseLimits:
             by_p = -np.real(turn[:, None] * of_p)
             by_q = -np.real(turn[:, None] * of_q)
             least = np.real(turn * offset[steps, places]) - 1.0
-            if drawn is not None:
-                size = np.hypot(by_p, by_q)
-                near = size >= FAR * size.max(axis=1, keepdims=True)
-                of_far = by_p * drawn[0][steps] + by_q * drawn[1][steps]
-                least = least - np.sum(of_far, axis=1, where=~near)
-                by_p, by_q = by_p * near, by_q * near
             found += self._rows(steps, by_p, by_q, least, places, kind)
         return found
 
