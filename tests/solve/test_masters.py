@@ -404,14 +404,8 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scen
     assert worth(after) < 0.9 * worth(before)
 
 
-@pytest.mark.parametrize(
-    ("name", "cheaper_gbp"),
-    [("s007", 150.0), pytest.param("s030", 150.0, marks=pytest.mark.nightly)],
-)
-def test_a_cheaper_set_in_the_network_is_found(
-    name: str, cheaper_gbp: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (instance,) = (one for one in read_instances() if one.name == name)
+def test_a_cheaper_set_in_the_network_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    (instance,) = (one for one in read_instances() if one.name == "s007")
     data = window_data(instance)
     found = WindowSolver(Site.of(instances_day())).solve(data)
     assert found.cost_gap_gbp <= 1e-3 * found.terms.f2 + 2e-3
@@ -420,7 +414,7 @@ def test_a_cheaper_set_in_the_network_is_found(
     first = WindowSolver(Site.of(instances_day())).solve(data)
     assert "network_cost_level[highs]" not in first.stages
     assert first.terms.f1 == pytest.approx(found.terms.f1)
-    assert found.terms.f2 < first.terms.f2 - cheaper_gbp
+    assert found.terms.f2 < first.terms.f2 - 150.0
     # What the other search could at most have saved covers what this one found.
     assert first.terms.f2 - first.cost_gap_gbp <= found.terms.f2 + 1e-3
 
