@@ -17,6 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from benchmarks import findings
 from benchmarks.day import run_days
 from benchmarks.deadlines import run_deadlines
+from benchmarks.frame.terminal import plain_errors, show_report
+from benchmarks.frame.whole import BUSY
 from benchmarks.instances import Instance, read_instances
 from benchmarks.race import run_race
 from benchmarks.report import Bar, Section, bar_table, publish, write_report
@@ -24,8 +26,6 @@ from benchmarks.scaling import QUICK_SIZES, SIZES, run_scaling
 from benchmarks.throughput import run_throughput
 from benchmarks.windows import Limits, run_windows
 from benchmarks.worker import run_worker
-from frame.terminal import plain_errors, show_report
-from frame.whole import BUSY
 from vppres.core.errors import InputError, Problem
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "benchmarks.md"

@@ -27,8 +27,8 @@ from rich.progress import track
 
 from benchmarks.cases import Case, cases, sample
 from benchmarks.clock import on_cpu_time
+from benchmarks.frame.terminal import plain_errors
 from benchmarks.mechanisms import GROUPS, MECHANISMS, SOLVE, Mechanism
-from frame.terminal import plain_errors
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache

@@ -20,13 +20,13 @@ import typer
 from rich.progress import track
 
 from benchmarks.deadlines import by_processor
+from benchmarks.frame.store import Row, Store
+from benchmarks.frame.terminal import plain_errors
+from benchmarks.frame.whole import monolith
 from benchmarks.hard_days import KINDS, hard_window
 from benchmarks.licensed import ALL_SOLVERS, LICENSED
 from benchmarks.race import Runner
 from benchmarks.windows import NOT_ADMITTED
-from frame.store import Row, Store
-from frame.terminal import plain_errors
-from frame.whole import monolith
 from vppres.core.errors import SolveError
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 from benchmarks.feeders import feeder_scenario, with_days, with_step
+from benchmarks.frame.random_feeders import Window, random_state, random_window
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.scaling import DAYS, windows_of
 from benchmarks.scaling import Case as Point
-from frame.random_feeders import Window, random_state, random_window
 from vppres.control.converged import ConvergedPlanner, dark_steps, physics_of, without_power
 from vppres.model.beyond_paper.losses import linearised, lossless
 from vppres.model.data import WindowData

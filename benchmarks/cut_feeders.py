@@ -18,7 +18,7 @@ from rich.progress import track
 
 from benchmarks.deadlines import by_processor
 from benchmarks.feeders import CASE69, FEEDERS, feeder_scenario
-from frame.store import Row
+from benchmarks.frame.store import Row
 from vppres.contract.decision import Decision
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions

@@ -13,8 +13,8 @@ import pandas as pd
 from rich.progress import Progress
 
 from benchmarks.clock import in_fresh_process, peak_memory_mb, watched
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import packaged
-from frame.store import Row, Store
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day

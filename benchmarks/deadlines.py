@@ -24,9 +24,9 @@ import typer
 from rich.progress import Progress, track
 
 from benchmarks.feeders import feeder_scenario
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.scaling import Case, windows_of
-from frame.store import Row, Store
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.data import WindowData
 from vppres.model.site import Site

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -13,8 +12,9 @@ import pandas as pd
 from numpy.random import Generator
 
 import vppres
+from benchmarks.frame.random_feeders import names
 from benchmarks.instances import packaged
-from vppres.core.arrays import Floats, Names, Wholes
+from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import mw_to_kw
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -195,16 +195,12 @@ def _customers(rng: Generator, feeder: Feeder, day: Scenario) -> Customers:
     weights = dict(zip(day.customers.tier, day.customers.weight, strict=True))
     tier = rng.permutation(np.resize(rng.permutation(day.customers.tier), count))
     return Customers(
-        id=_names("c", range(count)),
+        id=names("c", range(count)),
         bus=feeder.load_kw.index.to_numpy(object),
         tier=tier,
         weight=np.array([weights[t] for t in tier]),
         power_factor=rng.choice(day.customers.power_factor, count),
     )
-
-
-def _names(letter: str, numbers: Iterable[int]) -> Names:
-    return np.array([f"{letter}{number}" for number in numbers], dtype=object)
 
 
 def _sizes(rng: Generator, nominal_kw: Floats, total: float) -> Floats:
@@ -222,7 +218,7 @@ def _pv(rng: Generator, nominal_kw: Floats, customers: Customers, day: Scenario)
     total = day.pv.p_max_kw.sum() * nominal_kw.sum() / _nominal_kw()
     p_max_kw = _sizes(rng, nominal_kw[owners], total)
     return PVSystems(
-        id=_names("p", owners),
+        id=names("p", owners),
         customer=customers.id[owners],
         p_max_kw=p_max_kw,
         s_max_kva=p_max_kw * rng.uniform(1.0, 1.3, len(owners)),
@@ -238,7 +234,7 @@ def _batteries(
     energy = _sizes(rng, nominal_kw, b.energy_kwh.sum() * nominal_kw.sum() / _nominal_kw())
     power = energy * b.p_max_kw.sum() / b.energy_kwh.sum()
     alike = np.resize(np.arange(len(b)), count)
-    names = (
+    columns = (
         "soc_min",
         "soc_max",
         "soc_initial",
@@ -255,12 +251,12 @@ def _batteries(
         "t_initial_c",
     )
     return Batteries(
-        id=_names("b", range(count)),
+        id=names("b", range(count)),
         bus=customers.bus,
         energy_kwh=energy,
         p_max_kw=power,
         s_max_kva=power * rng.uniform(1.05, 1.4, count),
-        **{name: getattr(b, name)[alike] for name in names},
+        **{name: getattr(b, name)[alike] for name in columns},
     )
 
 

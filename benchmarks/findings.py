@@ -10,6 +10,7 @@ import pandas as pd
 from benchmarks import profiles
 from benchmarks.day import day_table, stage_table, step_table
 from benchmarks.deadlines import ALLOWED_S, NAMED, by_turn, deadline_table
+from benchmarks.frame.store import Row
 from benchmarks.licensed import LICENSED
 from benchmarks.race import draw_certified
 from benchmarks.race import summary as race_summary
@@ -17,7 +18,6 @@ from benchmarks.report import Bar, Section
 from benchmarks.scaling import FITTED_BUSES, draw_scaling, exponents
 from benchmarks.throughput import throughput_table
 from benchmarks.worker import worker_table
-from frame.store import Row
 
 MIN_RATIO = 25.0
 LONG_S = 1.0

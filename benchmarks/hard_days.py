@@ -13,12 +13,12 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from frame.random_feeders import random_rules
-from frame.usual_battery import USUAL_BATTERY
+from benchmarks.frame.random_feeders import names, random_rules
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
-from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.core.arrays import Flags, Floats
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.model.beyond_paper.losses import lossless
@@ -143,10 +143,6 @@ def _scenario(rng: Generator, name: str, traits: frozenset[str]) -> Scenario:
     )
 
 
-def _names(letter: str, numbers: Wholes) -> Names:
-    return np.array([f"{letter}{number}" for number in numbers], dtype=object)
-
-
 def _weights(traits: frozenset[str]) -> dict[str, float]:
     return FIVE_WEIGHTS if "five_tiers" in traits else WEIGHTS
 
@@ -162,7 +158,7 @@ def _customers(rng: Generator, n_buses: int, traits: frozenset[str]) -> Customer
     if "five_tiers" in traits and rng.random() < 0.5:
         weight = weight * rng.uniform(0.8, 1.2, len(bus))
     return Customers(
-        id=_names("c", bus),
+        id=names("c", bus),
         bus=bus.astype(object),
         tier=tier,
         weight=weight,
@@ -200,7 +196,7 @@ def _pv(
     sun = np.clip(np.sin((hour % 24.0 - 4.5) / 16.0 * np.pi), 0.0, None)
     cloud = rng.uniform(rng.uniform(0.3, 1.0), 1.0, (len(hour), 1))
     pv = PVSystems(
-        id=_names("p", owners),
+        id=names("p", owners),
         customer=customers.id[owners],
         p_max_kw=panel_kw,
         s_max_kva=panel_kw * rng.uniform(1.0, 1.2, len(owners)),
@@ -268,7 +264,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, traits: frozenset[s
     eta = np.full((2, count), 0.95) if alike else rng.uniform(0.85, 0.98, (2, count))
     constants = {**USUAL_BATTERY, "eta_charge": eta[0], "eta_discharge": eta[1]}
     return Batteries(
-        id=_names("b", np.arange(count)),
+        id=names("b", np.arange(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
         energy_kwh=np.maximum(energy, 1e-3),
         p_max_kw=p,

@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 from rich.progress import Progress
 
 from benchmarks.deadlines import by_processor
+from benchmarks.frame.store import Row, Store
+from benchmarks.frame.whole import BUSY, monolith
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.licensed import ALL_SOLVERS
-from frame.store import Row, Store
-from frame.whole import BUSY, monolith
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.model.site import Site

@@ -16,10 +16,10 @@ import typer
 from rich.progress import track
 
 from benchmarks.deadlines import by_processor
+from benchmarks.frame.store import Row, Store
+from benchmarks.frame.terminal import plain_errors
 from benchmarks.hard_days import KINDS, hard_day
 from benchmarks.race import CERTIFY_S
-from frame.store import Row, Store
-from frame.terminal import plain_errors
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.scenario.scenario import Scenario

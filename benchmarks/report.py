@@ -13,7 +13,8 @@ import pandas as pd
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
-from frame.pages import csv_table, save_figure, template_environment
+from benchmarks.frame import pages
+from benchmarks.frame.pages import csv_table, save_figure, template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
@@ -139,15 +140,13 @@ def markdown_table(table: pd.DataFrame) -> str:
     --------
     >>> print(markdown_table(pd.DataFrame({"steps": [6], "ratio": [25.12345]})))
     | steps | ratio |
-    |---|---|
+    | --- | --- |
     | 6 | 25.12 |
     """
-    lines = ["| " + " | ".join(map(str, table.columns)) + " |", "|---" * len(table.columns) + "|"]
-    lines += [
-        "| " + " | ".join(cell(value).replace("|", "\\|") for value in row) + " |"
-        for row in table.itertuples(index=False)
+    rows = [
+        [cell(value).replace("|", "\\|") for value in row] for row in table.itertuples(index=False)
     ]
-    return "\n".join(lines)
+    return pages.markdown_table(list(map(str, table.columns)), rows)
 
 
 def cell(value: Any) -> str:

@@ -20,8 +20,8 @@ from scipy import stats
 
 from benchmarks.clock import Clock, in_fresh_process, limit_memory, peak_memory_mb, watched
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import packaged
-from frame.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData

@@ -11,8 +11,8 @@ from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
 from benchmarks.day import error_settings
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import packaged
-from frame.store import Row, Store
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 

@@ -24,7 +24,7 @@ from rich.progress import track
 from benchmarks import ablation
 from benchmarks.cases import Case, cases
 from benchmarks.clock import on_cpu_time
-from frame.terminal import plain_errors
+from benchmarks.frame.terminal import plain_errors
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
 

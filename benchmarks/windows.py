@@ -14,9 +14,9 @@ import pandas as pd
 from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import Instance, packaged, window_data
 from benchmarks.licensed import ALL_SOLVERS, LICENSED
-from frame.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress
 
+from benchmarks.frame.store import Row, Store
 from benchmarks.instances import packaged
-from frame.store import Row, Store
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from benchmarks.frame.pages import save_figure
 from experiments.drawing import draw_grid
-from frame.pages import save_figure
 from vppres.report.plots.drawing import BLACK, BLUE, GREEN, ORANGE
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
+from benchmarks.frame.terminal import Scheduler, plain_errors, show_report
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import read_config
 from experiments.report import HTML, MARKDOWN, Effort, write_report
 from experiments.runner import processes_for, run_jobs
-from frame.terminal import Scheduler, plain_errors, show_report
 from vppres.core.errors import InputError, Problem
 
 TABLE_WIDTH = 110  # narrower, the table of R1 to R24 is unreadable

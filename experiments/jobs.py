@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import data.uk_heatwave_2022.build as builder
+from benchmarks.frame.store import digest_of_files, package_digest
 from experiments.weighted import WeightedChoices
-from frame.store import digest_of_files, package_digest
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.io.digest import scenario_digest

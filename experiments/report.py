@@ -10,12 +10,12 @@ from pathlib import Path
 
 from jinja2 import Environment
 
+from benchmarks.frame.pages import save_figure, template_environment
 from experiments import sensitivities
 from experiments.catalogue import ALL
 from experiments.config import Config
 from experiments.rows import Row, order
 from experiments.runner import Results
-from frame.pages import save_figure, template_environment
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from joblib import cpu_count
 
+from benchmarks.frame.terminal import bar_of
 from experiments.jobs import Job, scenario
 from experiments.results import DayResult
 from experiments.shorten import shorten
 from experiments.weighted import WeightedSolver
-from frame.terminal import bar_of
 from vppres.core.errors import SolveError, SolverLostError
 from vppres.day.assembly import make_controller
 from vppres.day.simulate import Day, run_day

@@ -12,12 +12,10 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.seeds import Study, report
 from experiments.report import machine
 from experiments.studies.random_days import small_day
-from frame.pages import markdown_table, write_pages
-from frame.seeds import (
-    Study,
-)
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
@@ -28,7 +26,6 @@ from vppres.day.faults import (
     MeasurementFault,
     Quantity,
 )
-from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
@@ -238,7 +235,6 @@ def run_one(seed: int) -> AlarmDay:
 
 def write_report(days: Sequence[AlarmDay], wall_s: float, folder: Path) -> Path:
     """Write ``alarms.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    record = {"days": [asdict(day) for day in days], "wall_s": wall_s, "versions": versions()}
     text = "\n\n".join(
         [
             markdown_table(HEADINGS, alarm_rows(day.counts for day in days)),
@@ -248,7 +244,7 @@ def write_report(days: Sequence[AlarmDay], wall_s: float, folder: Path) -> Path:
             f"30 % and 30 % an hour. {wall_s / 60:.1f} min; {machine()}.",
         ]
     )
-    return write_pages(folder, "alarms", "Frozen readings", text, record)
+    return report(folder / "alarms", "Frozen readings", text, days, wall_s)
 
 
 STUDY = Study(run_one, write_report)

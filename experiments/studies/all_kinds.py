@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.frame.pages import markdown_table, put_table
+from benchmarks.frame.whole import monolith
 from experiments.studies.precooling import heat_wave
-from frame.pages import markdown_table, put_table
-from frame.whole import monolith
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +15,16 @@ import typer
 from matplotlib.figure import Figure
 
 import data.uk_heatwave_2022.build as builder
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.paired import Estimate, by_seed
+from benchmarks.frame.seeds import Study, report
 from experiments.drawing import draw_grid
 from experiments.jobs import Day, scenario
 from experiments.report import machine
 from experiments.studies.random_days import DRAWINGS
-from frame.pages import markdown_table, save_figure, write_pages
-from frame.paired import Estimate, by_seed
-from frame.seeds import (
-    Study,
-)
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats
-from vppres.day.metrics import summarise, versions
+from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots.drawing import BLUE
@@ -128,12 +126,8 @@ def figure(runs: Sequence[Run]) -> Figure:
 
 def write_report(runs: Sequence[Run], wall_s: float, folder: Path) -> Path:
     """Write figure, ``baselines.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    folder.mkdir(parents=True, exist_ok=True)
-    save_figure(figure(runs), folder / "baselines")
-    record = {"runs": [asdict(run) for run in runs], "wall_s": wall_s, "versions": versions()}
-    return write_pages(
-        folder, "baselines", "The MPC beside the baselines", _text(runs, wall_s), record
-    )
+    title, text = "The MPC beside the baselines", _text(runs, wall_s)
+    return report(folder / "baselines", title, text, runs, wall_s, figure(runs))
 
 
 def _text(runs: Sequence[Run], wall_s: float) -> str:

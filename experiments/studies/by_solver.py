@@ -5,20 +5,19 @@ It writes the table of ``docs/reproduction.md``. The monolithic problem of SCIP 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
 import typer
 
-from frame.pages import markdown_table
+from benchmarks.frame.pages import markdown_table, put_into
 from vppres import RunOptions, load_scenario
 from vppres.day.metrics import resilience
 from vppres.day.simulate import run_day
 from vppres.solve.result import SolveLimits
 
 PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
-TABLE = re.compile(r"(?<=<!-- by solver -->\n).*?(?=\n<!-- end -->)", re.DOTALL)
+BEGIN, END = "<!-- by solver -->", "<!-- end -->"
 PATIENT = SolveLimits(time_s=900.0)
 """Time limit of a window: the answer of a slower one is the previous plan's."""
 
@@ -49,9 +48,7 @@ def table(horizons_h: Iterable[float]) -> str:
 def main(longest: int = 5) -> None:
     """Write the table into the documentation."""
     made = table(float(hours) for hours in range(longest + 1))
-    text, count = TABLE.subn(lambda _: made, PAGE.read_text(encoding="utf-8"))
-    assert count == 1, f"{PAGE} has no place for the table"
-    PAGE.write_text(text, encoding="utf-8")
+    put_into(PAGE, made, BEGIN, END)
 
 
 if __name__ == "__main__":

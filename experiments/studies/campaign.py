@@ -8,20 +8,18 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import typer
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.seeds import Study, report
 from experiments.report import machine
 from experiments.studies.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.studies.faults import drawn_faults
 from experiments.studies.random_days import RandomDay, random_day
-from frame.pages import markdown_table, write_pages
-from frame.seeds import (
-    Study,
-)
 from vppres.contract.observation import Observation
 from vppres.control.guard.critical import critical_site
 from vppres.control.guard.guard import GuardedController
@@ -29,7 +27,7 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.errors import SolveError
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
-from vppres.day.metrics import resilience, versions
+from vppres.day.metrics import resilience
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
@@ -178,12 +176,8 @@ def _best_alone(tier: str, site: Site, known: Observation) -> np.ndarray:
 
 def write_report(outcomes: Sequence[DayOutcome], wall_s: float, folder: Path) -> Path:
     """Write ``campaign.json``, ``.md`` and ``.html``; returns the Markdown file."""
-    record = {
-        "days": [asdict(outcome) for outcome in outcomes],
-        "wall_s": wall_s,
-        "versions": versions(),
-    }
-    return write_pages(folder, "campaign", "Days full of faults", _text(outcomes, wall_s), record)
+    text = _text(outcomes, wall_s)
+    return report(folder / "campaign", "Days full of faults", text, outcomes, wall_s)
 
 
 def _text(outcomes: Sequence[DayOutcome], wall_s: float) -> str:

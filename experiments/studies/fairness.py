@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.seeds import STUDIES, Span, run_seeds
 from experiments.studies.outage_days import OutageClimate, draw_outage_day
-from frame.pages import markdown_table
-from frame.seeds import STUDIES, Span, run_seeds
 from vppres.day.inversions import inversions
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions

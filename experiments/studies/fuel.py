@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import typer
 
+from benchmarks.frame.pages import markdown_table, put_into
+from benchmarks.frame.paired import Estimate, by_seed
+from benchmarks.frame.seeds import STUDIES, Days, FirstSeed, Jobs, Results, Span, run_seeds
 from experiments.studies.all_kinds import with_all_kinds
 from experiments.studies.outage_days import OutageClimate, draw_outage_day, with_outage_day
 from experiments.studies.uncertain import worst
-from frame.pages import markdown_table, put_into
-from frame.paired import Estimate, by_seed
-from frame.seeds import STUDIES, Days, FirstSeed, Jobs, Results, Span, run_seeds
 from vppres.contract.stored_value import StoredValue
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import summarise

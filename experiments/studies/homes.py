@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,14 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.paired import Estimate, by_seed
+from benchmarks.frame.seeds import Study, report
 from data.homes.build import HELD_OUT, homes
 from experiments.drawing import draw_grid
 from experiments.report import machine
-from frame.pages import markdown_table, save_figure, write_pages
-from frame.paired import Estimate, by_seed
-from frame.seeds import (
-    Study,
-)
 from vppres.core.arrays import Floats
-from vppres.day.metrics import summarise, versions
+from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots.drawing import BLUE
@@ -133,10 +131,8 @@ def figure(runs: Sequence[Run]) -> Figure:
 def write_report(days: Sequence[list[Run]], wall_s: float, folder: Path) -> Path:
     """Write figure, ``homes.json``, ``.md`` and ``.html``; returns the Markdown file."""
     runs = [run for day in days for run in day]
-    folder.mkdir(parents=True, exist_ok=True)
-    save_figure(figure(runs), folder / "homes")
-    record = {"runs": [asdict(run) for run in runs], "wall_s": wall_s, "versions": versions()}
-    return write_pages(folder, "homes", "What real forecasts cost", _text(runs, wall_s), record)
+    title, text = "What real forecasts cost", _text(runs, wall_s)
+    return report(folder / "homes", title, text, runs, wall_s, figure(runs))
 
 
 def _text(runs: Sequence[Run], wall_s: float) -> str:

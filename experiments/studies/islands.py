@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import typer
 
-from frame.random_feeders import random_scenario
-from frame.seeds import Days, FirstSeed
+from benchmarks.frame.random_feeders import random_scenario
+from benchmarks.frame.seeds import Days, FirstSeed
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import VppresError
 from vppres.day.metrics import resilience

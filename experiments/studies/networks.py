@@ -5,34 +5,33 @@
 
 from __future__ import annotations
 
-import json
 import re
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from frame.pages import markdown_table, put_table, write_pages
-from frame.seeds import STUDIES
+from benchmarks.frame.seeds import STUDIES
+from benchmarks.frame.tried import Kept, Only, Page, tried, write_table
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions, parse_outage
 from vppres.feeders.new.scenario import write_new_scenario
-from vppres.io.atomic import atomic_write_text
 from vppres.io.scenario_folder import read_scenario
 from vppres.report.run_folder import write_run
 from vppres.scenario.source import SourceDeviation
 
 CIRCUIT = re.compile(r"^\s*new\s+(object=)?circuit\.", re.IGNORECASE | re.MULTILINE)
 BEGIN, END = "<!-- networks: begin -->", "<!-- networks: end -->"
+HEAD = ("network", "buses", "needs", "no load", "as given", "worst hour", "a day")
 STEP_MINUTES = 240.0
 OUTAGE = "12:00..16:00"
 HORIZON_H = 8.0
@@ -183,21 +182,8 @@ def _outage_of(done: Any) -> dict[Any, bool]:
     return dict(zip(done.steps["time"], done.steps["outage"], strict=True))
 
 
-def table(outcomes: list[Outcome]) -> str:
-    """The outcomes as rows of Markdown."""
-    head = (
-        "network",
-        "buses",
-        "needs",
-        "no load",
-        "as given",
-        "worst hour",
-        "a day",
-    )
-    return markdown_table(head, [_row(outcome) for outcome in outcomes])
-
-
-def _row(outcome: Outcome) -> tuple[str, ...]:
+def row_of(outcome: Outcome) -> tuple[str, ...]:
+    """An outcome as cells of the table."""
     differences = (outcome.no_load_pu, outcome.as_given_pu, outcome.worst_hour_pu)
     return (
         outcome.label,
@@ -213,41 +199,25 @@ def in_pu(value: float) -> str:
     return "< 1e-6" if value < 1e-6 else f"{value:.1g}" if value < 1e-3 else f"{value:.4f}"
 
 
-def kept_or_tried(candidate: Candidate, kept: Path) -> Outcome:
-    """The outcome that a former run kept, or that of an attempt, kept for the next."""
-    file = kept / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', candidate.label)}.json"
-    if file.is_file():
-        record = json.loads(file.read_text("utf-8"))
-        return Outcome(**{**record, "options": tuple(record["options"])})
-    outcome = attempt(candidate, kept)
-    atomic_write_text(file, json.dumps(asdict(outcome), indent=2) + "\n")
-    typer.echo(" | ".join((*_row(outcome), f"{outcome.seconds:.0f} s")))
-    return outcome
-
-
 def main(
     folder: Annotated[Path, typer.Option(help="Folder of opendss/ and matpower/.")] = Path(
         "../shared/networks"
     ),
-    page: Annotated[Path | None, typer.Option(help="Page whose table is written anew.")] = None,
-    results: Annotated[
-        Path, typer.Option(help="Folder of the tables; what is there is not tried again.")
-    ] = STUDIES,
-    only: Annotated[str, typer.Option(help="Pattern of the names to try.")] = "",
+    page: Page = None,
+    results: Kept = STUDIES,
+    only: Only = "",
 ) -> None:
     """Try all networks, and write the table."""
     kept = results / "networks"
-    kept.mkdir(parents=True, exist_ok=True)
-    outcomes = [
-        kept_or_tried(candidate, kept)
-        for candidate in candidates(folder)
-        if re.search(only, candidate.label)
-    ]
-    text = table(outcomes)
-    record = {"networks": [asdict(outcome) for outcome in outcomes]}
-    write_pages(results, "networks", "Published networks", text, record)
-    if page is not None:
-        put_table(page, text, BEGIN, END)
+
+    def shown(outcome: Outcome) -> tuple[str, ...]:
+        return (*row_of(outcome), f"{outcome.seconds:.0f} s")
+
+    outcomes = tried(
+        candidates(folder), lambda each: attempt(each, kept), Outcome, shown, kept, only
+    )
+    rows = [row_of(outcome) for outcome in outcomes]
+    write_table(HEAD, rows, outcomes, kept, "Published networks", page, (BEGIN, END))
 
 
 if __name__ == "__main__":

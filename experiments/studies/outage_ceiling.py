@@ -11,7 +11,7 @@ experiments.studies.outage_ceiling --days 300``
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -20,15 +20,12 @@ import pandas as pd
 import typer
 from scipy.special import ndtr, ndtri
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.paired import by_seed
+from benchmarks.frame.seeds import Study, report
 from experiments.report import machine
 from experiments.studies.outage_days import Outage, OutageClimate, OutageDay, draw_outage_day
-from frame.pages import markdown_table, write_pages
-from frame.paired import by_seed
-from frame.seeds import (
-    Study,
-)
 from vppres.core.arrays import Flags, Floats
-from vppres.day.metrics import versions
 from vppres.day.outages import GridSeen
 from vppres.io.find import load_scenario
 from vppres.outlook import durations
@@ -408,9 +405,8 @@ def _write(days: Sequence[list[Outcome]], wall_s: float, folder: Path) -> Path:
         if of_kind:
             parts.append(_counted(kind.capitalize(), of_kind))
     parts.append(f"Wall time {wall_s / 60:.1f} min, {machine()}.")
-    record = {"outcomes": [asdict(one) for one in outcomes], "versions": versions()}
     title = "What can be made of uncertain outages at best"
-    return write_pages(folder, "outage-ceiling", title, "\n\n".join(parts), record)
+    return report(folder / "outage-ceiling", title, "\n\n".join(parts), outcomes, wall_s)
 
 
 def _counted(title: str, outcomes: Sequence[Outcome]) -> str:

@@ -22,9 +22,9 @@ import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.frame.pages import put_table
+from benchmarks.frame.random_feeders import WEIGHT, random_network, random_scenario
 from experiments.studies.phases import DAYS, LIMIT_S, loop, of_day, say, scenario_of
-from frame.pages import put_table
-from frame.random_feeders import WEIGHT, random_network, random_scenario
 from vppres.control.converged import ConvergedPlanner
 from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError

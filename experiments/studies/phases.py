@@ -23,7 +23,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from frame.pages import put_table
+from benchmarks.frame.pages import put_table
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
 from vppres.control.converged import ConvergedPlanner

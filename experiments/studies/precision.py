@@ -13,6 +13,10 @@ import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.frame.pages import markdown_table, save_figure, write_pages
+from benchmarks.frame.seeds import STUDIES, Jobs
+from benchmarks.frame.seeds import Results as Folder
+from benchmarks.frame.terminal import Scheduler, plain_errors, show_report
 from experiments import efficiency, ideal
 from experiments.config import Config, read_config
 from experiments.drawing import FULL, LINES, MPC, SPREAD, draw_grid, legend
@@ -22,10 +26,6 @@ from experiments.rows import Row, order
 from experiments.runner import Results, run_jobs
 from experiments.studies.settings import At, Setting, jobs_of, rows_of
 from experiments.studies.weighted_gap import service_of, terms_beside_gap
-from frame.pages import markdown_table, save_figure, write_pages
-from frame.seeds import STUDIES, Jobs
-from frame.seeds import Results as Folder
-from frame.terminal import Scheduler, plain_errors, show_report
 from vppres.report.plots.drawing import BLACK
 
 TITLE = "The paper at the precision of a weighted solve"

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from frame.pages import markdown_table
+from benchmarks.frame.pages import markdown_table, put_into
 from vppres import RunOptions, load_scenario
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
@@ -26,7 +25,7 @@ from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 
 PAGE = Path(__file__).parents[2] / "docs" / "cooling.md"
-TABLE = re.compile(r"(?<=<!-- precooling -->\n).*?(?=\n<!-- end -->)", re.DOTALL)
+BEGIN, END = "<!-- precooling -->", "<!-- end -->"
 HOMES = 20
 LAMBDA_GRID = 1e-7
 """Price of energy at which the comfort of so many homes is dearer."""
@@ -135,9 +134,7 @@ def main(days: int = 5) -> None:
     heads = ("hours above the band", "K h above it")
     sides = [f"{head}, {side}" for head in heads for side in ("held", "pre-cooled")]
     table = markdown_table(("tier", "rooms", *sides), compared("uk-heatwave-2022", range(days)))
-    text, count = TABLE.subn(lambda _: table, PAGE.read_text(encoding="utf-8"))
-    assert count == 1, f"{PAGE} has no place for the table"
-    PAGE.write_text(text, encoding="utf-8")
+    put_into(PAGE, table, BEGIN, END)
     typer.echo(table)
 
 

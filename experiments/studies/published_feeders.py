@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -22,17 +21,16 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
+from benchmarks.frame.seeds import STUDIES
+from benchmarks.frame.terminal import plain_errors
+from benchmarks.frame.tried import Kept, Only, Page, tried, write_table
 from experiments.studies.networks import ACCEPT, CURES, in_pu
 from experiments.studies.opendss_itself import Itself
-from frame.pages import markdown_table, put_table, write_pages
-from frame.seeds import STUDIES
-from frame.terminal import plain_errors
 from vppres.core.errors import InputError, VppresError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import write_new_scenario
-from vppres.io.atomic import atomic_write_text
 from vppres.physics.powerflow import ACPowerFlow
 
 REPOSITORIES = {"electricdss-tst": "https://github.com/dss-extensions/electricdss-tst"}
@@ -259,17 +257,6 @@ def row_of(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
-def kept_or_tried(published: Published, folder: Path, kept: Path) -> Outcome:
-    """The outcome that a former run kept, or that of an attempt, kept for the next."""
-    file = kept / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', published.label)}.json"
-    if file.is_file():
-        return Outcome(**json.loads(file.read_text("utf-8")))
-    outcome = attempt(published, folder)
-    atomic_write_text(file, json.dumps(asdict(outcome), indent=2) + "\n")
-    typer.echo(" | ".join(row_of(outcome)))
-    return outcome
-
-
 def fetch(folder: Path) -> None:
     """Clone the repositories that are not there."""
     for name, address in REPOSITORIES.items():
@@ -292,11 +279,9 @@ def fetch(folder: Path) -> None:
 
 def main(
     folder: Annotated[Path, typer.Argument(help="Folder with the clones of the repositories.")],
-    page: Annotated[Path | None, typer.Option(help="Page whose table is written anew.")] = None,
-    results: Annotated[
-        Path, typer.Option(help="Folder of the tables; what is there is not tried again.")
-    ] = STUDIES,
-    only: Annotated[str, typer.Option(help="Pattern of the feeders to try.")] = "",
+    page: Page = None,
+    results: Kept = STUDIES,
+    only: Only = "",
     where: Annotated[bool, typer.Option("--where", help="Print where each is from.")] = False,
     clone: Annotated[bool, typer.Option("--fetch", help="Clone what is not there.")] = False,
 ) -> None:
@@ -311,15 +296,9 @@ def main(
         with plain_errors("What was cloned before"):
             fetch(folder)
     kept = results / "published_feeders"
-    kept.mkdir(parents=True, exist_ok=True)
-    outcomes = [
-        kept_or_tried(each, folder, kept) for each in FEEDERS if re.search(only, each.label)
-    ]
-    text = markdown_table(HEAD, map(row_of, outcomes))
-    record = {"feeders": [asdict(outcome) for outcome in outcomes]}
-    write_pages(results, "published_feeders", "Published OpenDSS feeders", text, record)
-    if page is not None:
-        put_table(page, text, BEGIN, END)
+    outcomes = tried(FEEDERS, lambda each: attempt(each, folder), Outcome, row_of, kept, only)
+    rows = map(row_of, outcomes)
+    write_table(HEAD, rows, outcomes, kept, "Published OpenDSS feeders", page, (BEGIN, END))
 
 
 if __name__ == "__main__":

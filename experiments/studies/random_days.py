@@ -9,10 +9,11 @@ import pandas as pd
 from numpy.random import Generator
 
 import data.uk_heatwave_2022.build as builder
+from benchmarks.frame.random_feeders import names
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from experiments.jobs import Day, scenario
-from frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import ForecastErrors
-from vppres.core.arrays import Floats, Names, Wholes
+from vppres.core.arrays import Floats
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
@@ -84,15 +85,15 @@ def small_day(rng: Generator, seed: int) -> Scenario:
         grid=TimeGrid(pd.Timestamp("2022-07-19T07:00", tz="UTC"), 60.0, SMALL_STEPS),
         network=_tree(rng, n_buses, peak_kw),
         customers=Customers(
-            id=_names("c", bus),
+            id=names("c", bus),
             bus=bus.astype(object),
             tier=tier,
             weight=np.array([WEIGHT[name] for name in tier]),
             power_factor=rng.uniform(0.9, 1.0, len(bus)),
         ),
         pv=PVSystems(
-            id=_names("p", bus[owners]),
-            customer=_names("c", bus[owners]),
+            id=names("p", bus[owners]),
+            customer=names("c", bus[owners]),
             p_max_kw=panel_kw,
             s_max_kva=1.1 * panel_kw,
         ),
@@ -103,10 +104,6 @@ def small_day(rng: Generator, seed: int) -> Scenario:
         temperature_c=np.full(SMALL_STEPS, 30.0),
         grid_limit_kw=np.where(dark, 0.0, np.inf),
     )
-
-
-def _names(letter: str, numbers: Wholes) -> Names:
-    return np.array([f"{letter}{number}" for number in numbers], dtype=object)
 
 
 def _tree(rng: Generator, n_buses: int, peak_kw: Floats) -> Network:
@@ -127,7 +124,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float) -> Batteries:
     p = peak_kw * rng.uniform(0.05, 0.3, count)
     constants = {**USUAL_BATTERY, "t_initial_c": 30.0}
     return Batteries(
-        id=_names("b", np.arange(count)),
+        id=names("b", np.arange(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
         energy_kwh=p * rng.uniform(1.0, 4.0, count),
         p_max_kw=p,

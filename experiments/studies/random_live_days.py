@@ -29,15 +29,24 @@ import pandas as pd
 import typer
 from paho.mqtt.client import MQTTMessage
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.seeds import (
+    PATIENT,
+    STUDIES,
+    Days,
+    FirstSeed,
+    Jobs,
+    Results,
+    Span,
+    Study,
+    report,
+)
 from experiments.report import machine
 from experiments.studies.random_days import small_day
 from experiments.studies.shedding import Judge
 from experiments.studies.watched import guard_of
 from experiments.studies.within import Within
-from frame.pages import markdown_table, write_pages
-from frame.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from vppres.core.arrays import Floats
-from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -422,8 +431,7 @@ def write_report(feeders: Sequence[list[LiveDay]], wall_s: float, folder: Path) 
             *(["\n".join(wrong)] if wrong else []),
         ]
     )
-    record = {"days": [asdict(day) for day in days], "wall_s": wall_s, "versions": versions()}
-    return write_pages(folder, "random_live_days", "Random days of a live service", text, record)
+    return report(folder / "random_live_days", "Random days of a live service", text, days, wall_s)
 
 
 STUDY = Study(

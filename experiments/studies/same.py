@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from frame.terminal import plain_errors
+from benchmarks.frame.terminal import plain_errors
 from vppres.core.errors import InputError, Problem
 
 NOT_COMPARED = {

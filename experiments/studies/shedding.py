@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.frame.seeds import PATIENT
 from experiments.studies.watched import guard_of
-from frame.seeds import PATIENT
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
 from vppres.model.data import WindowData

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from benchmarks.frame.pages import put_table
 from experiments.studies.phases import FEEDERS, LIMIT_S, scenario_of, table_of
-from frame.pages import put_table
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.scenario.faults import LineFault

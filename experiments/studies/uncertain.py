@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,6 +21,10 @@ import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
+from benchmarks.frame.pages import markdown_table
+from benchmarks.frame.paired import Estimate, by_seed
+from benchmarks.frame.seeds import STUDIES, Days, FirstSeed, Jobs, Results, Span, Study, report
+from benchmarks.frame.terminal import Scheduler
 from experiments.drawing import draw_grid
 from experiments.report import machine
 from experiments.studies.outage_days import (
@@ -36,23 +40,11 @@ from experiments.studies.outage_days import (
     with_notices,
     with_outage_day,
 )
-from frame.pages import markdown_table, save_figure, write_pages
-from frame.paired import Estimate, by_seed
-from frame.seeds import (
-    STUDIES,
-    Days,
-    FirstSeed,
-    Jobs,
-    Results,
-    Span,
-    Study,
-)
-from frame.terminal import Scheduler
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
-from vppres.day.metrics import summarise, versions
+from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.outages import OutageView
 from vppres.day.simulate import Day
@@ -543,24 +535,21 @@ def _soundness(runs: Sequence[Run]) -> str:
 
 def _write(part: Part, runs: Sequence[Run], wall_s: float, folder: Path) -> Path:
     """Figure, JSON, Markdown and HTML of a part; returns the Markdown file."""
-    folder.mkdir(parents=True, exist_ok=True)
     name = f"uncertain-{part}"
     days = len({run.seed for run in runs})
     outages = len({run.seed for run in with_outage(runs)})
     texts = {"wrong": _wrong_text, "names": _names_text, "notice": _notice_text}
     parts = [texts[part](runs)] if part in texts else [_policies_text(runs), _kinds_text(runs)]
     if part not in texts:
-        save_figure(figure(runs), folder / name)
         parts.insert(1, f"![Resilience by what is known]({name}.svg)")
     parts.append(
         f"{days} days, {outages} of them with an outage; {_soundness(runs)} Intervals are 95 % "
         f"bootstrap intervals over paired days. Costs are those of all days, less what it costs to "
         f"charge what batteries hold more in the end. Wall time {wall_s / 60:.1f} min, {machine()}."
     )
-    record = {"runs": [asdict(run) for run in runs], "wall_s": wall_s, "versions": versions()}
-    return write_pages(
-        folder, name, "Outages that nobody knows exactly", "\n\n".join(parts), record
-    )
+    drawn = None if part in texts else figure(runs)
+    title = "Outages that nobody knows exactly"
+    return report(folder / name, title, "\n\n".join(parts), runs, wall_s, drawn)
 
 
 def _writer(part: Part) -> Callable[[Sequence[list[Run]], float, Path], Path]:

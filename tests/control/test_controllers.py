@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from tests.support.refusals import refusal
 from tests.support.set_points import decision
 from tests.support.small_windows import observed

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
 from tests.support.quiet_days import changed_by_the_guard, difference

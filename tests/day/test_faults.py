@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_scenario
 from experiments.studies.faults import drawn_faults
-from frame.random_feeders import random_scenario
 from tests.support.refusals import refusal
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.operating_point import Centre, OperatingPoint
 from vppres.core.arrays import Floats

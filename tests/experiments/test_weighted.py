@@ -8,12 +8,12 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_window
 from experiments.jobs import Job
 from experiments.runner import simulate
 from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
 from experiments.weighted import OPTIONS, WeightedChoices, WeightedSolver, squares_of
 from experiments.weighted_model import WeightedModel, largest_flow, under_square
-from frame.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions

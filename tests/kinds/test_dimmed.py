@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import live
 from tests.support.live_service import HERE, NOON, client, decided, said, site

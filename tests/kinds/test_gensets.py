@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import known, planned_kw, solved
 from tests.support.faulted import faulted_day, faulted_window

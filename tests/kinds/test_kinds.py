@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import HERE, known, live, solved
 from tests.support.kinds import EXAMPLES, Example

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_rules, random_window
+from benchmarks.frame.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import HERE, live
 from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window

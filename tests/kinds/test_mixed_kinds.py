@@ -9,7 +9,7 @@ import pandapower.networks
 import pandas as pd
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import both_methods
 from tests.support.builders import known, solved
 from tests.support.carried_out import carried_out

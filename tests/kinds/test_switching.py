@@ -13,7 +13,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_state, random_window
+from benchmarks.frame.random_feeders import random_state, random_window
 from tests.support.agreement import assert_agree
 from tests.support.dispatch_check import check_dispatch
 from tests.support.refusals import refusal

@@ -18,13 +18,13 @@ from benchmarks.clock import in_fresh_process, peak_memory_mb
 from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
 from benchmarks.findings import deadline_bars, scaling_bars
+from benchmarks.frame.store import Store
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.report import BEGIN, END, Section, publish
 from benchmarks.scaling import exponent
 from benchmarks.throughput import rates, throughput_table
 from benchmarks.windows import NOT_ADMITTED
 from benchmarks.worker import summary
-from frame.store import Store
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.solve.deadline import Stopwatch
 

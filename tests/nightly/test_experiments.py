@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import experiments.__main__ as command
+from benchmarks.frame.terminal import INTERRUPTED
 from experiments import runner
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
@@ -22,7 +23,6 @@ from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
-from frame.terminal import INTERRUPTED
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_window
 from benchmarks.hard_days import KINDS, hard_day, hard_window
-from frame.random_feeders import random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.frame.tried import write_table
 from experiments.studies import networks
 from experiments.studies.networks import Candidate, Outcome
 from vppres.core.errors import InputError, Problem
@@ -51,7 +52,9 @@ def test_the_table_replaces_the_one_of_the_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"before\n{networks.BEGIN}\nold\n{networks.END}\nafter\n")
     outcome = Outcome("a net", (), 3, 1e-12, 3e-4, 0.0123, "runs", 1.0)
-    networks.put_table(page, networks.table([outcome]), networks.BEGIN, networks.END)
+    marks = (networks.BEGIN, networks.END)
+    rows = [networks.row_of(outcome)]
+    write_table(networks.HEAD, rows, [outcome], tmp_path / "networks", "Networks", page, marks)
     assert page.read_text() == (
         f"before\n{networks.BEGIN}\n\n"
         "```{csv-table}\n:file: _static/page/networks.csv\n:header-rows: 1\n```\n\n"

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from frame.seeds import Kept, Span, run_seeds
+from benchmarks.frame.seeds import Kept, Span, run_seeds
 from vppres.core.errors import InputError, SolveError
 from vppres.studies import side_by_side
 from vppres.studies.side_by_side import Done, FailedJob, Where, identity, map_unordered
@@ -150,7 +150,7 @@ def test_a_study_goes_on_where_it_stopped(
         assert jobs == [3]
         yield from map_unordered(function, jobs, where)
 
-    monkeypatch.setattr("frame.seeds.map_unordered", only_new)
+    monkeypatch.setattr("benchmarks.frame.seeds.map_unordered", only_new)
     again, _ = run_seeds(squared, Span(0, 4), where, tmp_path / "days")
     assert again[1:] == [Squared(seed, float(seed * seed), [str(seed)]) for seed in (1, 2, 3)]
 
@@ -168,7 +168,7 @@ def test_other_sources_are_another_day(tmp_path: Path, monkeypatch: pytest.Monke
     kept = Kept(squared, tmp_path)
     kept.put(2, squared(2))
     assert kept.get(2) == squared(2)
-    monkeypatch.setattr("frame.seeds.identity", lambda package: {"vppres": "other"})
+    monkeypatch.setattr("benchmarks.frame.seeds.identity", lambda package: {"vppres": "other"})
     assert kept.get(2) is None
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.frame.paired import Estimate
 from experiments.studies import campaign
 from experiments.studies.baselines import CONTROLLERS, Run, column, figure, write_report
 from experiments.studies.campaign import StepToJudge, judge, run_one
 from experiments.studies.faults import drawn_faults
 from experiments.studies.random_days import RandomDay, random_day, small_day
-from frame.paired import Estimate
 from tests.support.mutations import refuted
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller
@@ -68,7 +68,7 @@ def test_campaign_day_is_finished_and_counted(
     assert "| days that finished | 1 |" in text
     assert "- day 4: ValueError: no\n- day 4, step 3: 0 of 1" in text
     record = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
-    assert [day["seed"] for day in record["days"]] == [4, 4]
+    assert [day["seed"] for day in record["outcomes"]] == [4, 4]
     assert "<td>days that finished</td>" in (tmp_path / "campaign.html").read_text(encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, battery, two_buses, window

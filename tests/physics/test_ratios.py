@@ -8,7 +8,7 @@ import numpy as np
 import pandapower as pp
 import pytest
 
-from frame.random_feeders import Window, random_window
+from benchmarks.frame.random_feeders import Window, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.injections import in_network

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from tests.support.homes import homes, with_random_homes
 from tests.support.set_points import asked, state
 from tests.support.sets import gensets, random_sets

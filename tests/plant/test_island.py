@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from tests.support.set_points import asked, decision, state
 from tests.support.vans import chargers, plugged_in
 from vppres.contract.decision import Decision

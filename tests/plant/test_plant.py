@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
 from vppres.kinds.customer.data import SwitchingRules

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frame.random_feeders import Window, random_state, random_window
+from benchmarks.frame.random_feeders import Window, random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE, OPEN, two_buses, window
 from vppres.control.converged import physics_of

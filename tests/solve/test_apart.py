@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,

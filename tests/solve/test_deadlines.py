@@ -10,8 +10,8 @@ import highspy
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_window
 from benchmarks.instances import Instance, packaged, read_instances, window_data
-from frame.random_feeders import random_window
 from tests.support.small_windows import window
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site

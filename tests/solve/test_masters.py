@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from benchmarks.frame.random_feeders import random_state, random_window
 from benchmarks.hard_days import hard_window
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
-from frame.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.injections import columns_of, in_network
 from tests.support.programs import knapsack

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_scenario
 from experiments.studies.phased_feeders import (
     decided,
     in_phases,
@@ -15,7 +16,6 @@ from experiments.studies.phased_feeders import (
     random_phased,
     with_a_former,
 )
-from frame.random_feeders import random_scenario
 from tests.support.faulted import faulted_day
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, day_of, phased_day

@@ -12,9 +12,9 @@ import pytest
 import scipy.sparse as sp
 
 from benchmarks.cases import physical_window
+from benchmarks.frame.random_feeders import Window, random_scenario, random_window
 from benchmarks.hard_days import hard_day, hard_window
 from experiments.studies.islands import claims_of, imbalance_kw, random_day
-from frame.random_feeders import Window, random_scenario, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.injections import in_network

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frame.random_feeders import WEIGHT, Window, random_window
+from benchmarks.frame.random_feeders import WEIGHT, Window, random_window
 from tests.support.reasons import checked
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario

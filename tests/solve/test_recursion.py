@@ -7,8 +7,8 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
+from benchmarks.frame.random_feeders import random_window
 from benchmarks.scaling import Case, windows_of
-from frame.random_feeders import random_window
 from vppres.core.errors import SolveError
 from vppres.model.site import Site
 from vppres.solve.fleet.reach import OneBattery

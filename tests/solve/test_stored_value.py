@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import SHARP, assert_certified
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from vppres.contract.stored_value import PIECES, StoredValue

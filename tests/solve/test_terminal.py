@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_certified
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres.contract.forecast import Forecast

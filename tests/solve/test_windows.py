@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from frame.random_feeders import Window, random_state, random_window
+from benchmarks.frame.random_feeders import Window, random_state, random_window
 from tests.support.agreement import BOUND_TOLERANCE, assert_agree, assert_sound
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frame.random_feeders import Window, random_window
+from benchmarks.frame.random_feeders import Window, random_window
 from vppres.kinds.export.physics import Export
 
 

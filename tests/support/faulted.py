@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from frame.usual_battery import USUAL_BATTERY
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from tests.support.small_windows import window
 from vppres.model.data import WindowData
 from vppres.model.parts import parts_of

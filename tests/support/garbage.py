@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from vppres.core.arrays import Names
 from vppres.core.errors import VppresError
 from vppres.day.options import RunOptions

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from frame.usual_battery import USUAL_BATTERY
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from vppres.day.recorder import Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.assets import Batteries, Customers, PVSystems

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from frame.random_feeders import Window, random_state, random_window
+from benchmarks.frame.random_feeders import Window, random_state, random_window
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of

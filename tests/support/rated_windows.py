@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frame.random_feeders import random_window
+from benchmarks.frame.random_feeders import random_window
 from tests.support.sets import random_sets
 from tests.support.whole_statement import whole_problem
 from vppres.contract.ahead import KindsAhead

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.frame.seeds import PATIENT
 from experiments.studies.random_days import small_day
-from frame.seeds import PATIENT
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.planner import OnePass
 from vppres.core.arrays import Floats

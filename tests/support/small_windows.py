@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from frame.usual_battery import USUAL_BATTERY
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecast
 from vppres.contract.observation import Observation
 from vppres.control.step_state import StepState

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frame.random_feeders import random_scenario
+from benchmarks.frame.random_feeders import random_scenario
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller

@@ -31,7 +31,7 @@ def test_tests_stand_in_the_folder_of_the_package_that_they_test() -> None:
     assert folders - rooms - BESIDE_THE_PACKAGE == set()
 
 
-@pytest.mark.parametrize("folder", ["experiments", "benchmarks", "frame", "tests"])
+@pytest.mark.parametrize("folder", ["experiments", "benchmarks", "tests"])
 def test_names_that_are_imported_from_the_package_exist(folder: str) -> None:
     missing = [
         f"{path}: {node.module}.{alias.name}"

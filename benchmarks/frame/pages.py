@@ -92,8 +92,9 @@ def template_environment(templates: Path, figures: Path, escape: bool) -> Enviro
 
 def put_into(page: Path, text: str, begin: str, end: str) -> None:
     """Replace what stands between two marks of a page."""
-    before, _, rest = page.read_text("utf-8").partition(begin)
-    _, _, after = rest.partition(end)
+    before, begun, rest = page.read_text("utf-8").partition(begin)
+    _, ended, after = rest.partition(end)
+    assert begun and ended, f"{page} has no place for the table"
     atomic_write_text(page, f"{before}{begin}\n\n{text}\n\n{end}{after}")
 
 

@@ -125,7 +125,7 @@ def random_state(seed: int, scenario: Scenario) -> SwitchingState:
     return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float), anytime)
 
 
-def _names(letter: str, numbers: Iterable[int]) -> Names:
+def names(letter: str, numbers: Iterable[int]) -> Names:
     """Identifiers: a letter and a number."""
     return np.array([f"{letter}{i}" for i in numbers], dtype=object)
 
@@ -137,7 +137,7 @@ def _customers(rng: Generator, n_buses: int) -> Customers:
     if rng.random() < 0.25:
         weight = weight * rng.uniform(0.8, 1.2, count)
     return Customers(
-        id=_names("c", range(count)),
+        id=names("c", range(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
         tier=tier,
         weight=weight,
@@ -152,7 +152,7 @@ def _pv(rng: Generator, customers: Customers, p_max_kw: Floats, stressed: bool) 
     )
     p = p_max_kw[owners]
     return PVSystems(
-        id=_names("p", owners),
+        id=names("p", owners),
         customer=customers.id[owners],
         p_max_kw=p,
         s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, len(owners)),
@@ -174,7 +174,7 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
         "t_initial_c": 22.0,
     }
     return Batteries(
-        id=_names("b", range(count)),
+        id=names("b", range(count)),
         bus=rng.integers(2, n_buses + 1, count).astype(object),
         energy_kwh=p * rng.uniform(0.5, 3.0, count),
         p_max_kw=p,

@@ -8,16 +8,19 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, get_type_hints
 
 import numpy as np
 import typer
+from matplotlib.figure import Figure
 from pydantic import TypeAdapter
 
-from frame.terminal import Scheduler, bar_of, plain_errors, show_report
+from benchmarks.frame.pages import save_figure, write_pages
+from benchmarks.frame.terminal import Scheduler, bar_of, plain_errors, show_report
+from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
 from vppres.solve.result import SolveLimits
 from vppres.studies.side_by_side import FailedJob, Where, identity, map_unordered
@@ -122,6 +125,40 @@ def run_seeds(
                 kept.put(outcome.job, outcome.result)
                 found[outcome.job] = outcome.result
     return [found[seed] for seed in span.seeds if seed in found], lost
+
+
+def report(
+    stem: Path,
+    title: str,
+    text: str,
+    outcomes: Sequence[Any],
+    wall_s: float,
+    figure: Figure | None = None,
+) -> Path:
+    """Write ``stem.md``, ``.html`` and ``.json``, beside its figure; returns the Markdown file.
+
+    Parameters
+    ----------
+    stem : Path
+        File without its ending.
+    title, text : str
+        Title and body in Markdown.
+    outcomes : sequence of dataclasses
+        Kept in the JSON.
+    wall_s : float
+        Seconds that they took.
+    figure : matplotlib.figure.Figure, optional
+        Saved as SVG and PNG under the same name.
+    """
+    if figure is not None:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        save_figure(figure, stem)
+    record = {
+        "outcomes": [asdict(outcome) for outcome in outcomes],
+        "wall_s": wall_s,
+        "versions": versions(),
+    }
+    return write_pages(stem.parent, stem.name, title, text, record)
 
 
 def nothing(_: object) -> bool:

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from frame.store import Row
+from benchmarks.frame.store import Row
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
