@@ -220,17 +220,50 @@ def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
         assert all(one["cleared_at"] for one in left if one["kind"] == "setpoint_rejected")
 
 
+def dimming_shop(tiny: Scenario, shop_kw: float, homes_kw: float) -> Scenario:
+    """A shop that may have a quarter of its demand, and homes."""
+    day = site(tiny)
+    c = day.customers
+    share_min = np.where(c.id == "shop", 0.25, 1.0)
+    load_kw = np.tile([0.0, shop_kw, homes_kw], (len(day.load_kw), 1))
+    return replace(
+        day, customers=replace(c, share_min=share_min), load_kw=load_kw, pv_kw=0.0 * day.pv_kw
+    )
+
+
+def test_the_price_of_energy_counts_on_no_dimming_that_was_refused(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """A battery holds 10.3 kWh in an island; homes of 1 kW count 0.02, the shop of 10 kW 0.1.
+
+    One more kWh of 95% goes to the shop, which is dimmed; to the homes, if that gets all.
+    """
+    day = dimming_shop(tiny, shop_kw=10.0, homes_kw=1.0)
+    soc = 0.15 + 10.3 / 0.95 / 60.0
+    clock = SetClock(NOON)
+    prices, shares = [], []
+    with client(Service(day, replace(HERE, horizon_h=0.0)), tmp_path, clock) as http:
+        for hours in (0, 1):
+            time = NOON + hours * HOUR
+            clock.set(time)
+            series = readings(time, "grid_on", {"grid": 0.0}) + readings(time, "online", {"big": 0})
+            http.post("/v1/telemetry", {"series": series})
+            plan = decided(http, clock, time, soc)
+            shop = next(one for one in plan["setpoints"] if one["asset"] == "shop")
+            shares.append(shop["share"])
+            told = http.get("/v1/explanations").json()["price"]
+            prices.append({one["asset"]: one["weighted_h"] for one in told}["small"])
+            no = {"status": "rejected", "reason": "no relay"}
+            http.post(f"/v1/setpoints/{shop['id']}/status", no)
+    assert shares == pytest.approx([0.93, 1.0], abs=1e-4)
+    assert prices == pytest.approx([0.95 * 0.1 / 10.0, 0.95 * 0.02 / 1.0], rel=1e-3)
+
+
 def test_a_customer_that_rejects_to_be_dimmed_is_not_dimmed_until_it_is_back(
     tiny: Scenario, tmp_path: Path
 ) -> None:
     """One battery of 30 kW in an island; the shop takes 40 kW and may have a quarter of it."""
-    day = site(tiny)
-    c = day.customers
-    share_min = np.where(c.id == "shop", 0.25, 1.0)
-    load_kw = np.tile([0.0, 40.0, 5.0], (len(day.load_kw), 1))
-    day = replace(
-        day, customers=replace(c, share_min=share_min), load_kw=load_kw, pv_kw=0.0 * day.pv_kw
-    )
+    day = dimming_shop(tiny, shop_kw=40.0, homes_kw=5.0)
     now = replace(HERE, horizon_h=0.0)
     clock = SetClock(NOON)
 

@@ -314,6 +314,24 @@ def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> Non
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
+def test_a_mode_that_another_set_since_is_not_replaced(
+    browser: Any, watched: tuple[Runner, str]
+) -> None:
+    """The second of two operators is told so, and may ask again for what is shown then."""
+    runner, address = watched
+    auto = {"mode": "auto", "until": None, "reason": ""}
+    with Watcher(browser, address) as watcher:
+        for said in ("not changed. The mode has changed since.", "is off.", "is hold."):
+            watcher.page.check("input[value=hold]" if "hold" in said else "input[value=off]")
+            watcher.page.click("#mode-change")
+            if "since" in said:
+                runner.store.put_setting("mode", {**auto, "reason": "crew"}, NIGHT, "another")
+            watcher.page.click("#confirm-yes")
+            watcher.wait_for("#mode-said", said)
+            assert runner.mode["mode"] == ("auto" if "since" in said else said[3:-1])
+    runner.store.put_setting("mode", auto, NIGHT, "test")
+
+
 @pytest.mark.nightly
 def test_set_points_are_given_by_hand(browser: Any, watched: tuple[Runner, str]) -> None:
     runner, address = watched

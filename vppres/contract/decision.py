@@ -28,6 +28,23 @@ def batteries_out(estimated: str, names: Iterable[object]) -> Flags:
     return np.array([OUT.format(name) in said for name in names], dtype=bool)
 
 
+UNDIMMED = "{} cannot be dimmed"
+"""How a record's ``estimated`` names a customer that had to get its whole demand, before why."""
+
+
+def undimmed(estimated: str, names: Iterable[object]) -> Flags | None:
+    """Which customers a decision could not dim, by what its record says, (C,); None for none.
+
+    Examples
+    --------
+    >>> undimmed("soc b01 is late; shop cannot be dimmed (no relay)", ["shop", "p"]).tolist()
+    [True, False]
+    """
+    said = estimated.split("; ")
+    found = [any(one.startswith(UNDIMMED.format(name)) for one in said) for name in names]
+    return np.array(found) if any(found) else None
+
+
 LEAST_OBJECTIVE = 0.01
 """Gaps are relative to the objective, or to this many weighted customer hours where it is smaller:
 half of a low-priority customer for an hour, below which no objective differs from zero."""

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.ahead import KindsAhead, past_days_of
-from vppres.contract.decision import batteries_out
+from vppres.contract.decision import batteries_out, undimmed
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
@@ -384,6 +384,7 @@ class Recorded:
             ahead=self._ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends),
             ends=ends,
+            whole=undimmed(self.note(t, "estimated"), self.site.customers.id),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
         return told.counted(self.counted)

@@ -19,7 +19,7 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import MODE, Runner, Service
 from vppres.service.operation.switching import SWITCHING
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans.document import DARK, points_at, refused_of
@@ -172,7 +172,7 @@ class Overview:
         found = runner.situation(now)
         return {
             "now": written(now.floor("s")),
-            "mode": runner.mode,
+            "mode": {**runner.mode, "etag": f'"{runner.store.setting(MODE)[1]}"'},
             "ahead_s": runner.ahead_s if plan else None,
             "steps": runner.outcomes,
             "alarms": runner.alarms.listed(now),

@@ -140,6 +140,7 @@ export class Operator {
         return;
       }
     }
+    this.seen = this.view().overview.mode.etag;
     $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""}${asked} ${span}`;
     $("confirm-no").textContent = `No, keep ${this.present}`;
     $("confirm-yes").textContent = `Yes, change to ${mode}`;
@@ -167,11 +168,12 @@ export class Operator {
     }
     const body = this.body(this.chosen().value);
     $("mode-change").disabled = true;
-    const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })
+    const said = await this.ask("v1/mode", { method: "PUT", headers: { "If-Match": this.seen }, body: JSON.stringify(body) })
       .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
     $("mode-change").disabled = false;
     $("mode-change").focus();
     $("mode-said").textContent = said;
+    await this.look();
     this.choosePresent();
   }
 }

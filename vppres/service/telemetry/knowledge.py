@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.contract.decision import UNDIMMED
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
@@ -294,7 +295,7 @@ def known_at(
             if name in HELD and values
         },
     )
-    whole = [f"{name} cannot be dimmed ({why})" for name, why in undimmed.items()]
+    whole = [f"{UNDIMMED.format(name)} ({why})" for name, why in undimmed.items()]
     estimated = [*load_words, *pv_words, *whole, *([doubt] if doubt else [])]
     again = ""
     if grid.known_by == "reading" and not grid.available:
