@@ -399,7 +399,8 @@ def test_compare_prints_and_writes_one_page(two_runs: list[Path], tmp_path: Path
 
 def test_compare_equal_runs(two_runs: list[Path], tmp_path: Path) -> None:
     shutil.copytree(two_runs[0], tmp_path / "copy")
-    call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
+    result = call("compare", two_runs[0], tmp_path / "copy", "--out", tmp_path / "both.html")
+    assert result.output.splitlines()[0] == "All figures are equal."
     text = (tmp_path / "both.html").read_text(encoding="utf-8")
     assert "None: the runs had the same options." in text
     assert "None: every customer was off supply for the same time in each run." in text

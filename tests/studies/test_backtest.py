@@ -16,7 +16,7 @@ from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.io.history import read_history
 from vppres.scenario.history import History
-from vppres.studies.backtest import Plan, backtest, measured_in
+from vppres.studies.backtest import Backtest, Plan, backtest, measured_in
 from vppres.studies.backtest_page import backtest_findings, write_backtest
 
 ROOT = Path(__file__).parents[2]
@@ -93,6 +93,43 @@ def test_what_repeats_itself_has_no_error() -> None:
     assert result.quantities == ["load"]
     assert float(result.by_lead()["crps_kw"].max()) < 1e-9
     assert result.by_lead()["held_80%"].tolist() == [1.0] * 24
+
+
+def test_no_error_is_relative_to_a_reference_without_one(tmp_path: Path) -> None:
+    # Each forecast is issued at 07:00 UTC: there is no PV power up to 6 h ahead, and none is usual.
+    hour = np.arange(60 * 24) % 24
+    load_kw, pv_kw = (np.random.default_rng(5).gamma(4.0, 1.0, (len(hour), 1)) for _ in range(2))
+    pv_kw[(hour < 13) | (hour > 20)] = 0.0
+    nights = History(MONDAY, 60.0, load_kw, pv_kw)
+    result = backtest(nights, Plan(horizon_h=24, every_h=24, first=MONDAY + pd.Timedelta("17D7h")))
+    write_backtest(result, tmp_path / "out", "Nights")
+    table = json.loads((tmp_path / "out" / "summary.json").read_text())["crps"]
+    night, day = (row for row in table if row["quantity"] == "pv")
+    assert night["crps_kw"] == 0.0
+    assert night["to_climatology"] is night["to_weekly"] is None
+    assert day["to_climatology"] == pytest.approx(day["crps_kw"] / climatology_kw(result) - 1.0)
+    pv = backtest_findings(result)[1]
+    assert "up to 24 h" in pv
+    assert "up to 6 h" not in pv
+
+
+def climatology_kw(result: Backtest) -> float:
+    """Error of the usual PV power from 6 h to 24 h ahead."""
+    table = result.by_lead()
+    rows = (table["quantity"] == "pv") & (table["lead_h"] > 6)
+    return float(table.loc[rows, "crps_climatology_kw"].mean())
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_month_without_measurements_has_no_share() -> None:
+    hour = np.arange(75 * 24)
+    load_kw = np.random.default_rng(6).gamma(4.0, 1.0, (len(hour), 1))
+    history = History(MONDAY, 60.0, load_kw, np.zeros((len(hour), 0)))
+    july = history.times.strftime("%m") == "07"
+    load_kw[july] = np.nan
+    gone = History(MONDAY, 60.0, load_kw, np.zeros((len(hour), 0)))
+    shares = backtest(gone, Plan(horizon_h=12, every_h=71)).by_month()["load"]
+    assert shares.index[shares.isna()].tolist() == ["2022-07"]
 
 
 def test_a_short_history_has_no_issue() -> None:

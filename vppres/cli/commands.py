@@ -325,9 +325,10 @@ def compare(
     check_file(file)  # before the work, not after it
     runs = read_runs(run_folders)
     write_page(file, render_comparison(runs))
+    differing = [row for row in compared_figures(runs) if row.differs]
     _show(
         {"report": str(file), **comparison_record(runs)} if as_json else None,
-        comparison_table(list(runs), [row for row in compared_figures(runs) if row.differs]),
+        comparison_table(list(runs), differing) if differing else "All figures are equal.",
         f"Written to {file}",
     )
 

@@ -136,10 +136,10 @@ class Backtest:
     ) -> dict[str, float]:
         """CRPS of some leads and issues: in kW, and relative to the references."""
         own, climatology, weekly = (
-            float(np.nanmean(self.mean(name, quantity, where)[leads]))
+            float(mean_of_known(self.mean(name, quantity, where)[leads]))
             for name in ("crps", "climatology", "weekly")
         )
-        to = {"to_climatology": own / climatology - 1.0, "to_weekly": own / weekly - 1.0}
+        to = {"to_climatology": _relative(own, climatology), "to_weekly": _relative(own, weekly)}
         return {"crps_kw": own, **to}
 
     def ranges(self) -> pd.DataFrame:
@@ -178,7 +178,9 @@ class Backtest:
             for words, where in (("all", slice(None)), ("recent", self.recent)):
                 errors = self._errors(quantity, where=where)
                 row[f"to_climatology_{words}"] = errors["to_climatology"]
-                row[f"held_80%_{words}"] = float(np.nanmean(self.mean("held 0.8", quantity, where)))
+                row[f"held_80%_{words}"] = float(
+                    mean_of_known(self.mean("held 0.8", quantity, where))
+                )
             rows.append(row)
         return pd.DataFrame(rows)
 
@@ -188,7 +190,8 @@ class Backtest:
         names = pd.Index(dict.fromkeys(month), name="month")
         held = {
             quantity: [
-                float(np.nanmean(self.mean("held 0.8", quantity, month == name))) for name in names
+                float(mean_of_known(self.mean("held 0.8", quantity, month == name)))
+                for name in names
             ]
             for quantity in self.quantities
         }
@@ -214,20 +217,25 @@ class Backtest:
             "energy": self.energy().to_dict("records"),
             "drift": self.drift().to_dict("records"),
             "each_to_total": {
-                quantity: float(
-                    np.nanmean(self.mean("each", quantity))
-                    / np.nanmean(self.mean("crps", quantity))
+                quantity: 1.0
+                + _relative(
+                    float(np.nanmean(self.mean("each", quantity))),
+                    float(np.nanmean(self.mean("crps", quantity))),
                 )
                 for quantity in self.quantities
                 if quantity != "net"
             },
             "energy_score_to_climatology": {
-                quantity: float(np.divide(*self.mean("paths", quantity)) - 1.0)
-                for quantity in self.quantities
+                quantity: _relative(*self.mean("paths", quantity)) for quantity in self.quantities
             },
         }
         safe: dict[str, Any] = json_safe(found)
         return safe
+
+
+def _relative(error: float, reference: float) -> float:
+    """An error relative to a reference's: NaN where the reference has none, as of PV at night."""
+    return float(error / reference - 1.0) if reference else float("nan")
 
 
 def backtest(

@@ -90,11 +90,14 @@ def backtest_findings(result: Backtest, warned: WarningScores | None = None) -> 
     for quantity in result.quantities:
         changes = ranges[ranges["quantity"] == quantity].to_dict("records")
         against = ", ".join(
-            f"{_less_or_more(row['to_climatology'])} up to {row['until_h']} h" for row in changes
+            f"{_less_or_more(row['to_climatology'])} up to {row['until_h']} h"
+            for row in changes
+            if not np.isnan(row["to_climatology"])
         )
         by_lead = held.loc[held["quantity"] == quantity, "held_80%"]
         sentences.append(
-            f"{WORDS[quantity]}: error (CRPS) against what is usual at the time of day: {against}. "
+            f"{WORDS[quantity]}: error (CRPS) against what is usual at the time of day: "
+            f"{against or 'none is usual'}. "
             f"The 80 % interval held {_percent(by_lead.mean())} ({_percent(by_lead.min())} to "
             f"{_percent(by_lead.max())} by lead)."
         )
