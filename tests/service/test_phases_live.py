@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.builders import metered
+from tests.support.live_service import HERE, client, readings
 from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.played_service import played
 from tests.support.sets import gensets
@@ -176,6 +177,28 @@ def test_phases_of_readings(evening: Scenario, sent: Any, words: str) -> None:
     assert (words in found) if words else not problems
     if len(sent) == 3:
         assert [one.value for one in good if one.quantity == "load_kw"] == [30.0]
+
+
+def test_phases_that_are_refused_change_nothing(evening: Scenario, tmp_path: Path) -> None:
+    """A phase alone is none of the reading that came before, and no reading itself."""
+    time = evening.grid.start
+    service = Service(evening, replace(HERE, mode="physical"), rehearsal=True)
+    with client(service, tmp_path, SetClock(time)) as http:
+
+        def sent(**kw: float) -> Any:
+            series = [
+                {**one, "phase": phase}
+                for phase, value in kw.items()
+                for one in readings(time, "load_kw", {"ce": value})
+            ]
+            return http.post("/v1/telemetry", {"series": series})
+
+        assert sent(a=10.0, b=11.0, c=12.0).json()["accepted"] == 4
+        assert sent(a=30.0).status == 422
+        answer = sent(a=-1.0, b=30.0, c=30.0)
+        assert answer.status == 422
+        assert answer.json()["problems"][1]["message"] == "lacks phase a"
+        assert sent(a=10.0, b=11.0, c=12.0).json()["duplicates"] == 4
 
 
 def test_what_earths_an_island_is_reckoned_once_for_all_readings(

@@ -46,7 +46,7 @@ from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.grid_readings import contradiction, stands_alone
 from vppres.service.telemetry.lost import lost_customers, undimmed_customers
-from vppres.service.telemetry.phased_readings import stored, sums, wrong_phase
+from vppres.service.telemetry.phased_readings import stored, with_sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
 from vppres.service.window import CAUTIOUS, Window
 
@@ -174,12 +174,8 @@ def readings_of(
             long = int(one.resolution.total_seconds())
             quantity = stored(one.quantity, one.phase)
             good.append(Reading(one.asset, quantity, time, one.source, long, value))
-    for found in [*sums(good, scenario)]:
-        if isinstance(found, Refusal):
-            refused.append(found)
-        else:
-            good.append(found)
-    return good, refused
+    kept, incomplete = with_sums(good, scenario)
+    return kept, [*refused, *incomplete]
 
 
 def _wrong_series(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 from vppres.core.errors import Problem
 from vppres.live.by_phase import GRID
@@ -58,20 +58,31 @@ def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
     return Problem(WHERE, "is no phase of it", cure, None, field, str(one.phase))
 
 
-def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Refusal]:
-    """Sums of readings by phase of a batch, and the readings that are not complete."""
-    found: dict[tuple[str, str, str, int, int], dict[str, float]] = {}
+def with_sums(
+    readings: Iterable[Reading], scenario: Scenario
+) -> tuple[list[Reading], list[Refusal]]:
+    """Readings of a batch with the sums of powers by phase, and what lacks a phase.
+
+    Of an asset that lacks one nothing is kept: phases of other batches would not add up with it.
+    """
+    kept: list[Reading] = []
+    refused: list[Refusal] = []
+    found: dict[tuple[str, str, str, int, int], dict[str, Reading]] = {}
     for one in readings:
         quantity, _, phase = one.quantity.partition("/")
         if phase and quantity in SUMMED:
             key = one.asset, quantity, one.source, one.time, one.resolution_s
-            found.setdefault(key, {})[phase] = one.value
-    for (asset, quantity, source, time, long), values in found.items():
-        lacking = [p for p in phases_of(scenario, quantity, asset) if p not in values]
+            found.setdefault(key, {})[phase] = one
+        else:
+            kept.append(one)
+    for (asset, quantity, source, time, long), phases in found.items():
+        lacking = [p for p in phases_of(scenario, quantity, asset) if p not in phases]
         if lacking:
             message = f"lacks phase {' and '.join(lacking)}"
             cure = "Send all phases of an asset in one batch."
             wrong = Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
-            yield Refusal(source, asset, quantity, wrong)
+            refused.append(Refusal(source, asset, quantity, wrong))
             continue
-        yield Reading(asset, quantity, time, source, long, sum(values.values()))
+        total = sum(one.value for one in phases.values())
+        kept += [*phases.values(), Reading(asset, quantity, time, source, long, total)]
+    return kept, refused
