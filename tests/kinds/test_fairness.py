@@ -186,6 +186,23 @@ def test_the_memory_goes_on_over_a_restart(tiny: Scenario) -> None:
         vppres.Controller.of(tiny, replace(HERE, guard=True), state=going.state())
 
 
+def test_what_is_logged_after_the_beginning_is_not_known(tiny: Scenario) -> None:
+    first = tiny.grid.start
+    logged = (
+        Interruption(first - 2 * HOUR, first + 3 * HOUR, "homes"),
+        Interruption(first + 3 * HOUR, first + 9 * HOUR, "shop"),
+    )
+    before = (Interruption(first - 2 * HOUR, first, "homes"),)
+    weights = [
+        vppres.run_day(
+            replace(alike(tiny), interruptions=past), replace(HERE, rotation=0.5)
+        ).customers["rotated_weight"]
+        for past in (logged, before, ())
+    ]
+    assert weights[0].tolist() == weights[1].tolist()
+    assert weights[0].tolist() != weights[2].tolist()
+
+
 def test_outages_of_the_past_count_once_for_each_customer(tiny: Scenario) -> None:
     start = tiny.grid.start - 30 * HOUR
     past = [(0, 6, ""), (0, 2, "shop"), (4, 5, "shop")]

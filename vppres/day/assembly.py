@@ -109,7 +109,9 @@ def make_controller(
         return ByStepWeights(controllers(), own, scenario.customers.weight)
     if options.shares_supply:
         rules = Fairness(**{f.name: getattr(options, f.name) for f in fields(Fairness)})
-        off_h = hours_off(scenario.interruptions, scenario.customers.id)
+        # A day knows nothing of what comes after its beginning, and counts it itself.
+        begins = None if measured else scenario.grid.start
+        off_h = hours_off(scenario.interruptions, scenario.customers.id, begins)
         return Rotating(controllers(), scenario, rules, off_h)
     return decider_of(site)
 

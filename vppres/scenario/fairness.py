@@ -45,8 +45,10 @@ class Interruption:
     customer: str = ""
 
 
-def hours_off(past: Sequence[Interruption], names: Names) -> Floats:
-    """Hours that each customer was off supply, (C,).
+def hours_off(
+    past: Sequence[Interruption], names: Names, until: pd.Timestamp | None = None
+) -> Floats:
+    """Hours that each customer was off supply, (C,), before a time if one is given.
 
     >>> noon = pd.Timestamp("2025-07-01T12:00Z")
     >>> hours_off([Interruption(noon, noon + pd.Timedelta(hours=2), "b")], np.array(["a", "b"]))
@@ -56,7 +58,8 @@ def hours_off(past: Sequence[Interruption], names: Names) -> Floats:
     found = dict.fromkeys(map(str, names), 0.0)
     for one in past:
         if one.customer in found:
-            found[one.customer] += (one.end - one.start) / hour
+            end = one.end if until is None else min(one.end, until)
+            found[one.customer] += max((end - one.start) / hour, 0.0)
     return np.array(list(found.values()), dtype=float)
 
 
