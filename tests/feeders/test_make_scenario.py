@@ -443,7 +443,7 @@ def test_merged_customers_have_the_highest_tier_of_their_loads(tmp_path: Path) -
     assert day.customers.tier.tolist() == ["critical", "high"]
     assert (
         "Customers that merge loads of several tiers have the highest: c1 (critical; load 0 (Homes "
-        "1-40): low, load 1 (Care home): critical), c2 (high; load 2 (School): high, load 3 (Homes "
+        "1-40): low, load 1 (Care home): critical); c2 (high; load 2 (School): high, load 3 (Homes "
         "41-90): low). With --source-names each load is a customer of its own."
     ) in notes
 

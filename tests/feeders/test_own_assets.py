@@ -130,7 +130,7 @@ def test_engines_become_sets_and_fuel_cells_are_named_with_their_size(tmp_path: 
     assert scenario_digest(read_scenario(tmp_path / "day")) == scenario_digest(day)
     notes = assumptions(feeder, NewScenarioOptions())
     for words in (
-        "Generating sets of the source: chp2, 310 kW, genset3, 50 kW. They run in outages only.",
+        "Generating sets of the source: chp2, 310 kW; genset3, 50 kW. They run in outages only.",
         "Generating sets that form the grid of an island that no battery forms: genset3.",
         "Generating sets that only follow what forms the grid: chp2.",
         "Assumed for generating sets: a least power of 30% (chp2), 0.246 l/kWh and 0.08415 l/h",

@@ -266,9 +266,9 @@ def read_grid(door: Door, scenario: Scenario, measured: Measurement) -> dict[str
     return {name: door.series(name, given, known) for name, (given, known) in own.items()}
 
 
-def named(ids: Names, named: Sequence[str]) -> Flags:
+def is_named(ids: Names, names: Sequence[str]) -> Flags:
     """Whether each identifier is named."""
-    chosen = set(named)
+    chosen = set(names)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
 
 

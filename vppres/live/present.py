@@ -25,8 +25,8 @@ from vppres.live.measurement import (
     Measurement,
     check_complete,
     check_order,
+    is_named,
     moment_at,
-    named,
     read_batteries,
     read_grid,
     read_kinds,
@@ -129,7 +129,10 @@ class Present:
             if not options.guard:
                 check_complete(door, site, measured, of_batteries)
             others = measured.foretold or {}
-            foretold = named(c.id, others.get("load_kw", ())), named(pv.id, others.get("pv_kw", ()))
+            foretold = (
+                is_named(c.id, others.get("load_kw", ())),
+                is_named(pv.id, others.get("pv_kw", ())),
+            )
             laid, of_kinds = read_kinds(door, site, measured, moment, past.kinds)
             door.finish()
         pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
