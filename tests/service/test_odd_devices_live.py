@@ -231,6 +231,7 @@ def dimming_shop(tiny: Scenario, shop_kw: float, homes_kw: float) -> Scenario:
     )
 
 
+@pytest.mark.daily
 def test_the_price_of_energy_counts_on_no_dimming_that_was_refused(
     tiny: Scenario, tmp_path: Path
 ) -> None:

@@ -314,6 +314,7 @@ def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> Non
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
+@pytest.mark.daily
 def test_a_mode_that_another_set_since_is_not_replaced(
     browser: Any, watched: tuple[Runner, str]
 ) -> None:

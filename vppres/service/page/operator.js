@@ -42,8 +42,8 @@ export class Operator {
   // Something that needs no dialog, on an alarm or an operation.
   async act(path, method, body, answer = "attention-said", headers = {}) {
     const said = await this.ask(path, { method, headers, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
-    $(answer).textContent = said;
     await this.look();
+    $(answer).textContent = said;
   }
 
   offer(site) {
@@ -170,10 +170,10 @@ export class Operator {
     $("mode-change").disabled = true;
     const said = await this.ask("v1/mode", { method: "PUT", headers: { "If-Match": this.seen }, body: JSON.stringify(body) })
       .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
+    await this.look();
     $("mode-change").disabled = false;
     $("mode-change").focus();
     $("mode-said").textContent = said;
-    await this.look();
     this.choosePresent();
   }
 }
