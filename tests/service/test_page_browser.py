@@ -79,7 +79,7 @@ class Watcher:
         return " ".join(self.page.locator(selector).inner_text().replace("\u00a0", " ").split())
 
     def wait_for(self, selector: str, words: str) -> None:
-        self.page.locator(selector, has_text=words).wait_for(timeout=10_000)
+        self.page.locator(selector, has_text=words).wait_for(timeout=40_000)
 
 
 @pytest.fixture(scope="module")
@@ -331,6 +331,27 @@ def test_a_mode_that_another_set_since_is_not_replaced(
             watcher.wait_for("#mode-said", said)
             assert runner.mode["mode"] == ("auto" if "since" in said else said[3:-1])
     runner.store.put_setting("mode", auto, NIGHT, "test")
+
+
+def test_a_change_without_an_answer_may_have_been_made(
+    browser: Any, watched: tuple[Runner, str]
+) -> None:
+    """The answer is lost on its way; the change was made, and the page shows it."""
+    runner, address = watched
+    with Watcher(browser, address) as watcher:
+
+        def lose(route: Any) -> None:
+            route.fetch()
+            route.abort()
+
+        watcher.page.route("**/v1/mode", lose)
+        watcher.page.check("input[value=off]")
+        watcher.page.click("#mode-change")
+        watcher.page.click("#confirm-yes")
+        watcher.wait_for("#mode-said", "no answer. The change may have been made")
+        watcher.wait_for("#mode", "Mode: off")
+        assert watcher.page.is_checked("input[value=off]")
+    runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
 @pytest.mark.nightly

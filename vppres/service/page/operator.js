@@ -21,6 +21,9 @@ const setpointWords = (one) => {
 
 const $ = (id) => document.getElementById(id);
 
+// A change without an answer may have been made all the same.
+const failed = (words, error) => (error.unanswered ? "The service gave no answer. The change may have been made: see what is shown." : `${words} ${error.message}`);
+
 export class Operator {
   constructor(ask, look, now, view) {
     this.ask = ask; // sends a request, with the token if there is one
@@ -41,7 +44,7 @@ export class Operator {
 
   // Something that needs no dialog, on an alarm or an operation.
   async act(path, method, body, answer = "attention-said", headers = {}) {
-    const said = await this.ask(path, { method, headers, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => `Nothing was changed. ${error.message}`);
+    const said = await this.ask(path, { method, headers, ...(body && { body: JSON.stringify(body()) }) }).then(() => "", (error) => failed("Nothing was changed.", error));
     await this.look();
     $(answer).textContent = said;
   }
@@ -70,7 +73,7 @@ export class Operator {
       await this.ask(`v1/events/${encodeURIComponent(name)}`, { method: "PUT", body: JSON.stringify(body) });
       $("crew-said").textContent = `Recorded: ${said}${body.type === "outage" ? ", as the end of the outage" : ""}.`;
     } catch (error) {
-      $("crew-said").textContent = `Not recorded. ${error.message}`;
+      $("crew-said").textContent = failed("Not recorded.", error);
     }
   }
 
@@ -123,6 +126,7 @@ export class Operator {
   async confirm() {
     const mode = this.chosen()?.value;
     if (!mode) return;
+    await this.looked; // what is replaced is what is shown
     if (mode === "manual" && !this.setpoints.size) { $("mode-said").textContent = "Add a set-point first."; $("manual-device").focus(); return; }
     const hours = $("mode-hours");
     if (NEED_END.includes(mode) && !hours.value) hours.value = "1";
@@ -168,12 +172,13 @@ export class Operator {
     }
     const body = this.body(this.chosen().value);
     $("mode-change").disabled = true;
+    $("mode-said").textContent = "Waiting for the service.";
     const said = await this.ask("v1/mode", { method: "PUT", headers: { "If-Match": this.seen }, body: JSON.stringify(body) })
-      .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);
-    await this.look();
+      .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => failed("The mode was not changed.", error));
+    this.looked = this.look();
+    this.choosePresent();
     $("mode-change").disabled = false;
     $("mode-change").focus();
     $("mode-said").textContent = said;
-    this.choosePresent();
   }
 }

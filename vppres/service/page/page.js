@@ -7,6 +7,7 @@ import {
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
+const CHANGE_PATIENCE_MS = 30000; // a change waits for the disk
 const WHY_PATIENCE_MS = 125000;
 const SHELF_H = 4; // of a shift; over HTTP an alarm is shelved for as long as you ask
 const LOST_MS = 10000; // without an answer, after which the page shows that it is out of date
@@ -18,9 +19,10 @@ let token = null; // in memory alone
 const view = { site: null, overview: null, clock: new SiteClock("UTC"), now: new Date(), heard: new Date(), lost: false };
 let heardAt = performance.now(); // on this machine's monotonic clock
 
-async function ask(path, options = {}, patience_ms = PATIENCE_MS) {
+async function ask(path, options = {}, patience_ms = options.method ? CHANGE_PATIENCE_MS : PATIENCE_MS) {
   const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }), ...options.headers };
-  const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(patience_ms) });
+  const answer = await fetch(path, { ...options, headers, cache: "no-store", signal: AbortSignal.timeout(patience_ms) })
+    .catch((error) => { throw Object.assign(new Error(error.message), { unanswered: true }); });
   const body = await answer.json().catch(() => ({}));
   if (!answer.ok) throw Object.assign(new Error(body.detail ?? `The service answers ${answer.status}.`), { status: answer.status });
   return body;
