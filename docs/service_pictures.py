@@ -17,7 +17,8 @@ from tests.support.browser import FLAGS, chromium, listening
 from vppres.service.access import Access
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.store import Reading, seconds
 
 FOLDER = Path(__file__).with_name("_static")

@@ -32,7 +32,7 @@ from vppres.service.access import Access
 from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World
 from vppres.service.simulate import Place, Play, Player, TelemetryFaults, simulate
 

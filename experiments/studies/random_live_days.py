@@ -55,7 +55,7 @@ from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
 from vppres.service.mqtt import Bridge, Topics
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import Series, World, critical_off
 from vppres.studies.side_by_side import Where
 
@@ -375,7 +375,7 @@ class Player:
         for shed in self.judge.found[before:]:
             if shed.avoidable:
                 self.found.avoidable.append(f"{when}: {asdict(shed)}")
-        _, known = guard_of(self.runner._controller)
+        _, known = guard_of(self.runner.deciding.controller)
         b = self.come.batteries
         since_h = (pd.Timestamp(when) - pd.Timestamp(when).floor(QUARTER)) / pd.Timedelta("1h")
         given = SOC_APART + since_h * b.p_max_kw / (b.eta_discharge * b.energy_kwh)

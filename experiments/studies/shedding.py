@@ -72,7 +72,7 @@ class Judge:
 
     def _least(self, first: Flags, steps: int) -> int:
         """Fewest customers of the first tier times steps that must be off."""
-        guard, known = guard_of(self.runner._controller)
+        guard, known = guard_of(self.runner.deciding.controller)
         key = known.online.tobytes() + first.tobytes()
         if key not in self._solvers:
             site = _first_alone(site_with(guard.site, known.online), first)

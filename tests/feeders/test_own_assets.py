@@ -22,7 +22,7 @@ from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.scenario.remarks import NO_FORMER, ONE_FORMER, darkness, former_words, remarks
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 DARK_MORNING = NewScenarioOptions(
     step_minutes=240.0,

@@ -29,7 +29,7 @@ from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
 from vppres.feeds.incidents import Incident, check_areas, time_in
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 ROOT = Path(__file__).parent
 AREAS = {"ukpn": "CM4 0", "ssen": "OX26 6JJ", "nged": "TA12"}

@@ -35,7 +35,7 @@ from vppres.report.run_folder import render_report
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits
 

@@ -69,7 +69,7 @@ from tests.support.played_service import played
 from vppres.explain.day import explain_day
 from vppres.report.sections.explain import ACTIONS
 from vppres.report.run_folder import write_run
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.simulate import Play
 
 day = read_scenario("day").between({FIRST}, {LAST})
@@ -99,7 +99,7 @@ print(json.dumps([summary["pools"], run.pools["p_kw"].tolist(), live_kw, player.
 LATER = f"""{SITE}
 from tests.support.played_service import played
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.simulate import Play
 
 week = read_scenario("day")

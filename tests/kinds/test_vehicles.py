@@ -37,7 +37,7 @@ from vppres.scenario.remarks import remarks
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.of_kind import told_by_plans
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.solve.ladder import METHODS, WindowSolver
 
 HOUR = pd.Timedelta("1h")

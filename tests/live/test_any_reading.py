@@ -17,7 +17,7 @@ from tests.support.tiny_day import tiny_scenario
 from vppres import Controller, Measurement, RunOptions, SetPoints
 from vppres.live.door import float_of
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 DAY = crowded(site(tiny_scenario()))
 """Batteries, PV, a van, a cooled home and a generating set."""

@@ -17,7 +17,7 @@ from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper import losses
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 HOSPITAL_KW = 33.0
 LOSSES_KW = 0.182

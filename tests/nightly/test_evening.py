@@ -24,7 +24,7 @@ from vppres.day.options import RunOptions
 from vppres.service.clock import written
 from vppres.service.http.client import Client
 from vppres.service.http.started import started
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 STEP = pd.Timestamp("2026-11-21T18:00Z")
 MOST_S = 20.0

@@ -28,7 +28,8 @@ from vppres.service.alarms.conditions import Condition, Situation, conditions, s
 from vppres.service.alarms.state import KINDS, Alarms, Notice
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import Reading, seconds
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.knowledge import Heard
@@ -283,7 +284,7 @@ def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> 
     assert runner.last
     runner.last = {**runner.last, "status": "fallback"}
     runner.last["solve"] = {"fallback": "previous_plan", "fallback_reason": "time limit"}
-    runner.check_alarms()
+    runner.watch.check_alarms()
     later(runner, 29)
     assert listed(http) == []
     later(runner, 1)
@@ -348,7 +349,7 @@ def test_an_acknowledged_alarm_stands_over_a_restart_within_the_step(
         (alarm,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
         http.post(f"/v1/alarms/{alarm['id']}/acknowledge", {"reason": "known"})
     with serving(service, tmp_path, SetClock(NOON - HOUR)) as (http, runner):
-        runner.check_alarms()
+        runner.watch.check_alarms()
         assert runner.clock.now() == then
         (again,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
         assert (again["id"], again["state"]) == (alarm["id"], "acknowledged")

@@ -17,7 +17,8 @@ from tests.support.played_service import crowded
 from tests.support.vans import van
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 Plan = dict[str, Any]
 Act = Callable[["Site"], None]

@@ -28,7 +28,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.events.announced import check_not_over
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.payloads import Belief
 
 LATER = NOON + pd.Timedelta("13min")
@@ -112,7 +112,7 @@ def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
     clock.set(LATER + pd.Timedelta("2min"))
     with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
         assert runner.changes.reasons == ()
-        runner.look()
+        runner.hearing.look()
         plan = runner.anew()
         assert plan is not None and not plan["grid"]["available"]
         assert said(plan, "customers")["hospital"]["served"]

@@ -14,7 +14,7 @@ from tests.support.vans import van
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta(hours=1)
 ISLAND = RunOptions(horizon_h=1.0, isolate=False, mode="physical")

@@ -18,7 +18,7 @@ from vppres.day.options import RunOptions
 from vppres.service.access import Access
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import Reading, seconds
 
 DEPLOY = Path(__file__).parents[2] / "docs" / "deploy"

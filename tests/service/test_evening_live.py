@@ -19,7 +19,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.replay.export import export
 
 ISLAND = RunOptions(horizon_h=1.0, isolate=False, mode="physical")
@@ -40,7 +41,7 @@ class Evening:
 
     def anew(self) -> None:
         assert self.runner.anew() is not None
-        self.runner.check_alarms()
+        self.runner.watch.check_alarms()
 
     def read(self, quantity: str, **values: float) -> None:
         sent = readings(self.runner.clock.now(), quantity, dict(values))

@@ -29,7 +29,7 @@ from vppres import Controller, RunOptions, run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.replay.export import export
 from vppres.service.simulate import Play
 

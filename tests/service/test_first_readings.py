@@ -16,7 +16,8 @@ from tests.support.played_service import crowded
 from vppres.kinds.vehicles.data import Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 LEAVES = (NOON + pd.Timedelta("3h")).timestamp()
 FIRST: dict[tuple[str, str], float] = {
@@ -55,7 +56,9 @@ def planned_with(runner: Runner, quantity: str, asset: str) -> Any:
     """What the last plan took a quantity for."""
     assert runner.last
     measured = getattr(
-        runner.expected[runner.last["id"]], {"online": "connected"}.get(quantity, quantity), None
+        runner.deciding.expected[runner.last["id"]],
+        {"online": "connected"}.get(quantity, quantity),
+        None,
     )
     if quantity == "grid_on":
         return float(runner.last["grid"]["available"])

@@ -23,7 +23,7 @@ from vppres.kinds.gensets.data import Refuels
 from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.replay.export import export
 
 OPTIONS = RunOptions(mode="paper", isolate=False, horizon_h=3.0)
@@ -261,7 +261,7 @@ def test_a_step_by_rule_leaves_a_set_as_it_was(
         http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
         first = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
         with monkeypatch.context() as broken:
-            broken.setattr("vppres.service.operation.runner.known_at", None)
+            broken.setattr("vppres.service.operation.deciding.known_at", None)
             plan = decided(http, clock, NOON + pd.Timedelta(hours=1), soc=0.1)
         point = said(plan, "gensets")["g0"]
         assert plan["status"] == "failed" and point["running"] and point["p_kw"] == first["p_kw"]

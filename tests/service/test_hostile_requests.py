@@ -15,7 +15,7 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
 from vppres.service.http.app import make_app
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 
 def site() -> Service:

@@ -13,7 +13,7 @@ import pytest
 from tests.support.live_service import HERE, NOON, heard, readings, said, serving, with_units
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 MINUTES = pd.Timedelta(minutes=1)
 MOMENTS = (0, 20, 45, 60, 75)
@@ -120,7 +120,7 @@ def test_what_a_charger_says_once_is_not_late(tiny: Scenario, tmp_path: Path) ->
             clock.set(now)
             http.post("/v1/telemetry", heard(now))
             plan = runner.step()
-            runner.check_alarms()
+            runner.watch.check_alarms()
         assert plan["late"] == [] and plan["expected"]["vehicles"]["k0"]["needed_kwh"] == 20.0
         assert http.get("/v1/alarms").json()["alarms"] == []
 
@@ -137,7 +137,7 @@ def test_parts_of_a_forecast_that_were_issued_together_all_count(
             assert http.put("/v1/forecasts/load_kw", body).status == 200
         http.post("/v1/telemetry", heard(NOON))
         plan = runner.step()
-        known = runner.expected[plan["id"]].load_kw
+        known = runner.deciding.expected[plan["id"]].load_kw
         assert isinstance(known, pd.DataFrame)
         row = known.loc[NOON + 60 * MINUTES]
         assert (row["shop"], row["homes"]) == (20.0, 50.0)

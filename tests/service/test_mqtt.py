@@ -28,7 +28,8 @@ from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.http.client import Answer, Client
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 mqtt = pytest.importorskip("vppres.service.mqtt")

@@ -32,7 +32,7 @@ from tests.support.vans import van
 from vppres import Controller, Measurement, RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import Series, World
 from vppres.service.replay.explanations import explained, question
 from vppres.service.simulate import Play, Player
@@ -208,7 +208,7 @@ def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
         for one in points.values():
             answer = http.post(f"/v1/setpoints/{one['id']}/status", {"status": "rejected"})
             assert answer.status == 200
-        runner.check_alarms()
+        runner.watch.check_alarms()
         alarms = http.get("/v1/alarms").json()["alarms"]
         assert {one["subject"] for one in alarms if one["kind"] == "setpoint_rejected"} == names
         texts = {one["subject"]: one["text"] for one in alarms}

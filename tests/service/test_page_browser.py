@@ -23,7 +23,8 @@ from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.replay import explainer
 from vppres.service.replay.explanations import explained
 from vppres.service.storage.records import Reading, seconds

@@ -27,7 +27,7 @@ from tests.support.page_words import NODE, said_by
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 

@@ -35,7 +35,8 @@ from vppres.service.http.app import make_app
 from vppres.service.http.perimeter import MOST_STEPS_ASKED
 from vppres.service.http.started import started
 from vppres.service.limits import Rate, RateLimits
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import Reading, seconds
 
 OUTAGE = {"type": "outage", "start": "2026-11-21T14:00:00Z"}

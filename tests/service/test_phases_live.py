@@ -27,7 +27,7 @@ from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.overview import site_of
 from vppres.service.payloads import Readings
 from vppres.service.plans.world import World

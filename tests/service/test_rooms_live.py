@@ -21,7 +21,7 @@ from vppres.kinds.cooling.live import setpoints_c
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta(hours=1)
 OPTIONS = RunOptions(mode="paper", isolate=False)

@@ -36,7 +36,7 @@ from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock, written
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.document import tables_of
 from vppres.service.plans.gate import refusals
 from vppres.service.storage.store import Store
@@ -198,7 +198,7 @@ def test_what_the_gate_refuses_becomes_the_default(
 ) -> None:
     http, clock = live
     monkeypatch.setattr(
-        "vppres.service.operation.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
+        "vppres.service.operation.deciding.refusals", lambda *_: {("batteries", "big"): "no number"}
     )
     big = said(decided(http, clock, NOON), "batteries")["big"]
     assert (big["p_kw"], big["q_kvar"], big["reason"]) == (0.0, 0.0, "default: no number")

@@ -23,7 +23,7 @@ from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageSta
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.events.announced import warnings
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import Event, seconds
 
 HOUR = pd.Timedelta("1h")

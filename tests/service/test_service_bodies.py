@@ -19,7 +19,7 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service import payloads
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 BELIEVING = RunOptions(horizon_h=2.0, isolate=False, outages="belief")
 HUGE = 10**400

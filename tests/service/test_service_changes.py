@@ -16,7 +16,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta("1h")
 OUTAGE = {"type": "outage", "start": "2026-11-21T15:00:00Z", "end": "2026-11-21T16:00:00Z"}

@@ -19,7 +19,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta("1h")
 

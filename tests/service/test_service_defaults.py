@@ -17,7 +17,7 @@ from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.sets import gensets
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World
 
 HOUR = pd.Timedelta("1h")
@@ -62,7 +62,7 @@ def test_a_service_that_is_gone_in_an_island_leaves_it_as_it_is(
             assert {one["active"] for one in left.values()} == {False}
             assert state(left) == state(told)
         for _ in range(2):  # the alarm waits a minute
-            runner.check_alarms()
+            runner.watch.check_alarms()
             clock.set(clock.now() + pd.Timedelta("2min"))
         words = "devices keep their last state, and how long the island lasts is not known."
         alarms = http.get("/v1/alarms").json()["alarms"]
@@ -139,7 +139,7 @@ def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
         http.put("/v1/events/storm", LOST)
         first = decided(http, clock, NOON, soc=0.2)
         stopped = {("gensets", "g0"): "no number", ("batteries", "big"): "no number"}
-        monkeypatch.setattr("vppres.service.operation.runner.refusals", lambda *_: stopped)
+        monkeypatch.setattr("vppres.service.operation.deciding.refusals", lambda *_: stopped)
         plan = decided(http, clock, NOON + HOUR, soc=0.2)
         assert state(said(plan, "gensets")) == state(said(first, "gensets"))
         assert said(plan, "gensets")["g0"]["reason"] == "default: no number"

@@ -37,7 +37,7 @@ from vppres.service.access import Denied
 from vppres.service.clock import written
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.replay import explainer
 from vppres.service.replay.explanations import KINDS, explained, question
 from vppres.service.replay.export import exported

@@ -35,7 +35,7 @@ from vppres.report.events import events_of
 from vppres.report.finished import read_finished
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.replay.export import export
 from vppres.service.simulate import Play
 from vppres.service.storage.store import Store

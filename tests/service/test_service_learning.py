@@ -30,7 +30,8 @@ from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta("1h")
@@ -56,7 +57,7 @@ def shop_of(scenario: Scenario) -> int:
 
 def watch(runner: Runner) -> list[Observation]:
     """What the controller is told from now on."""
-    decider = runner._controller._decider
+    decider = runner.deciding.controller._decider
     seen: list[Observation] = []
     decide = decider.decide
 

@@ -13,7 +13,7 @@ from tests.support.live_service import HERE, NOON, client, decided, running, sai
 from tests.support.sequences import Player, Row, has
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 EVENT: dict[str, Any] = {
     "id": "17",

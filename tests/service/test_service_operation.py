@@ -25,7 +25,7 @@ from vppres.service.access import Access
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
 from vppres.service.http.client import Client
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta("1h")
 

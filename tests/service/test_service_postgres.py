@@ -14,7 +14,7 @@ from tests.support.live_service import HERE, NOON, client, decided, heard, said,
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.storage.database import OnServer
 from vppres.service.storage.store import Store
 

@@ -21,7 +21,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.clock import SetClock, written
 from vppres.service.http.client import Answer
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World, critical_off, energy_allowed
 from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements, warned
 

@@ -31,7 +31,7 @@ from vppres.service.http.client import Client
 from vppres.service.http.connections import MOST_AT_ONCE, SILENT_S
 from vppres.service.http.serve import opened
 from vppres.service.http.started import Started, started
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.storage.store import TRIED_S
 
 LOCKED_OUT_S = SILENT_S / 2

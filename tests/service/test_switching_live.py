@@ -26,7 +26,8 @@ from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.replay.explanations import explained, question
 from vppres.service.replay.export import exported
 from vppres.service.storage.store import Store
@@ -160,7 +161,7 @@ def check_alarm(http: Caller, clock: SetClock, runner: Runner) -> None:
     """It is raised when telemetry is late, and cleared when it comes."""
 
     def stopped() -> list[dict[str, Any]]:
-        runner.check_alarms()
+        runner.watch.check_alarms()
         found = http.get("/v1/alarms").json()["alarms"]
         return [one for one in found if one["kind"] == "switching_stopped"]
 
@@ -430,7 +431,7 @@ def test_steps_without_a_decision_are_of_the_feeder_as_it_is_read(tmp_path: Path
         def fails(_: object) -> None:
             raise RuntimeError("the controller is broken")
 
-        runner._controller.step = fails  # type: ignore[assignment,method-assign]
+        runner.deciding.controller.step = fails  # type: ignore[assignment,method-assign]
         plan = decided(http, clock, NOON)
         assert (plan["status"], plan["switches_open"]) == ("failed", ["s"])
         assert the_shop(plan)["served"]

@@ -35,7 +35,7 @@ from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta("1h")
 SOC = {"big": 0.5, "small": 0.5}
@@ -105,7 +105,7 @@ def test_a_step_that_raises_is_decided_by_rule(
     def broken(*_: Any) -> None:
         raise wrong
 
-    monkeypatch.setattr("vppres.service.operation.runner.known_at", broken)
+    monkeypatch.setattr("vppres.service.operation.deciding.known_at", broken)
     plan = decided(http, clock, NOON + HOUR)
     assert plan["status"] == "failed" and plan["reason"].startswith("by rule: ")
     on = said(plan, "customers")

@@ -36,7 +36,7 @@ from vppres.model.site import Site
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.service.http.client import Answer
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World
 from vppres.service.simulate import Play, Player
 from vppres.solve.ladder import WindowSolver

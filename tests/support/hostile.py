@@ -29,7 +29,8 @@ from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 STEP_EVERY = 250

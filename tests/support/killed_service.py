@@ -24,7 +24,8 @@ from vppres.service.access import Access
 from vppres.service.clock import written
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import seconds
 
 RULES = SwitchingRules(min_unserved_h=2.0, cold_load_factor=1.3, cold_load_h=2.0)

@@ -24,7 +24,8 @@ from vppres.service.access import Access
 from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.records import Reading, seconds
 
 HERE = RunOptions(horizon_h=2.0, isolate=False)

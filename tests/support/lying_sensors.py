@@ -30,7 +30,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import Series, World, critical_off
 
 Told = Callable[[Sequence[float], int], float | None]

@@ -14,7 +14,7 @@ from tests.support.vans import van
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.http.client import Answer, Client
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World
 from vppres.service.simulate import Play, Player
 

@@ -111,7 +111,7 @@ class Player:
         """One request at a time."""
         if request == "look":
             self.runner.set_clock(now)
-            self.runner.check_alarms()
+            self.runner.watch.check_alarms()
             return self.http.get("/v1/alarms")
         self.clock.set(now)
         if request == "anew":

@@ -20,7 +20,7 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 from vppres.service.clock import SetClock, written
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 
 def switched(**columns: Any) -> Scenario:

@@ -602,7 +602,7 @@ def serve(
 
     with extra("serve"):
         from vppres.service.http import serve as service
-        from vppres.service.operation.runner import Service
+        from vppres.service.operation.site import Service
     day = load_scenario(scenario)
     served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
     folder = _state_place(scenario, state)
@@ -658,7 +658,7 @@ def export(
     from vppres.report.run_folder import write_run
 
     with extra("serve"):
-        from vppres.service.operation.runner import Service
+        from vppres.service.operation.site import Service
         from vppres.service.replay import export as past
     check_target(out)
     day = load_scenario(scenario)
@@ -705,7 +705,7 @@ def simulate(
 
     with extra("serve"):
         from vppres.service import simulate as player
-        from vppres.service.operation.runner import Service
+        from vppres.service.operation.site import Service
     site = load_scenario(scenario)
     comes = site if world is None else load_scenario(world)
     served = Service(site, run_options(site, context.obj), world is None, world is not None)

@@ -19,7 +19,8 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
-from vppres.service.operation.runner import MODE, Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import MODE, Service
 from vppres.service.operation.switching import SWITCHING
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans.document import DARK, points_at, refused_of
@@ -159,7 +160,7 @@ class Overview:
     def _key(self) -> Any:
         return (
             self.runner.store.changes,
-            self.runner.refused.changes,
+            self.runner.hearing.refused.changes,
             self.runner.changes.reasons,
             self.runner.clock.now().floor(f"{REFRESH_S}s"),
         )
@@ -169,14 +170,14 @@ class Overview:
         now = runner.clock.now()
         plan = runner.last
         latest = Latest.at(now, runner.scenario, runner.store)
-        found = runner.situation(now)
+        found = runner.watch.situation(now)
         return {
             "now": written(now.floor("s")),
             "mode": {**runner.mode, "etag": f'"{runner.store.setting(MODE)[1]}"'},
             "ahead_s": runner.ahead_s if plan else None,
             "steps": runner.outcomes,
-            "alarms": runner.alarms.listed(now),
-            "switching": self._switching() if runner.is_switching else None,
+            "alarms": runner.watch.alarms.listed(now),
+            "switching": self._switching() if runner.watch.is_switching else None,
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard, now),
             "measured": self._measured(latest.found, now),
@@ -189,7 +190,7 @@ class Overview:
     def _switching(self) -> dict[str, Any]:
         """The order of switching, with the ETag of the state that is shown."""
         asked, tag = self.runner.store.setting(SWITCHING)
-        return {**self.runner.switchgear(asked).told(), "etag": f'"{tag}"'}
+        return {**self.runner.watch.switchgear(asked).told(), "etag": f'"{tag}"'}
 
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
         """Valid part of the last plan, without the customers that are on.
@@ -256,7 +257,7 @@ class Overview:
 
     def _sources(self, heard: Iterable[Heard], now: pd.Timestamp) -> list[dict[str, Any]]:
         """Each source: when it was last heard from, and what of it is late or was refused."""
-        refused = [*self.runner.refused.standing(now)]
+        refused = [*self.runner.hearing.refused.standing(now)]
         contacts = {one.source: written(at) for one, at in refused} | last_heard(self.runner.store)
         found: dict[str, dict[str, Any]] = {
             source: {

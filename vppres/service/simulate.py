@@ -29,7 +29,7 @@ from vppres.service.clock import written
 from vppres.service.events.announced import SAID_OF_END
 from vppres.service.http.client import Client
 from vppres.service.http.started import started
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.payloads import read_moment
 from vppres.service.plans.world import Series, World, critical_off, energy_allowed
 

@@ -21,7 +21,8 @@ from vppres.service.clock import SetClock, SystemClock, TimeSource
 from vppres.service.http.app import make_app
 from vppres.service.http.connections import MOST_AT_ONCE, Connection
 from vppres.service.operation.loop import Loop
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.storage.store import Store
 
 DEFAULT_PORT = 8420
@@ -190,8 +191,8 @@ def serve(
         opened(service, folder) as runner,
         notifier(service.scenario.name, targets) as tell,
     ):
-        runner.alarms.on_notice = tell
-        runner.notifier = tell
+        runner.watch.alarms.on_notice = tell
+        runner.watch.notifier = tell
         access = Access(runner.store.tokens())
         address.check(access)
         hosts = (*LOOPBACK, address.host, *address.names)

@@ -16,7 +16,7 @@ from vppres.core.errors import InputError, VppresError
 from vppres.service.access import LOOPBACK
 from vppres.service.http.client import Client
 from vppres.service.http.serve import Address, serve
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 
 START_S = 60.0
 """What a start may take: libraries are loaded, and a process to solve in is begun."""

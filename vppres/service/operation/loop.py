@@ -34,14 +34,14 @@ class Loop(threading.Thread):
 
     def run(self) -> None:
         """Go on until the end."""
-        self._guarded(self.runner.look)
+        self._guarded(self.runner.hearing.look)
         while not self._end.is_set():
-            self._guarded(self.runner.check_alarms)
+            self._guarded(self.runner.watch.check_alarms)
             changes = self.runner.changes
             once_s = self._once()
             self._guarded(self.runner.on_plan)
             changes.new.wait(min(once_s, LONGEST_WAIT_S, self._to_next_turn_s()))
-            self._guarded(self.runner.note_turns)
+            self._guarded(self.runner.hearing.note_turns)
             if not changes.reasons or self._end.wait(SETTLE_S):
                 continue
             if not self._guarded(self.runner.anew):
@@ -69,7 +69,7 @@ class Loop(threading.Thread):
     def _to_next_turn_s(self) -> float:
         """How long until the mode ends, or an event begins or ends, in s."""
         try:
-            return self.runner.to_next_turn_s()
+            return self.runner.hearing.to_next_turn_s()
         except VppresError:  # the database does not answer: the next turn says so
             return RETRY_S
 

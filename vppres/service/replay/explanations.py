@@ -33,7 +33,8 @@ from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
 from vppres.service.of_kind import every, moved
-from vppres.service.operation.runner import Runner, Service
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import Service
 from vppres.service.plans.forming import NOTHING, formers_now, why_dark
 from vppres.service.replay.export import Replay, site_of
 from vppres.service.storage.records import DECIDED
@@ -80,7 +81,7 @@ def question(runner: Runner, plan: Mapping[str, Any]) -> Replay:
     options = replace(
         runner.options.on(scenario), errors=ForecastErrors(), forecaster=PAPER, thermal="off"
     )
-    expected = _expected(scenario, plan, t, runner.expected.get(plan["id"]))
+    expected = _expected(scenario, plan, t, runner.deciding.expected.get(plan["id"]))
     return replace(replay, scenario=expected, options=options, stored=replay.stored[: t + 1])
 
 

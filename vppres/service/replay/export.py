@@ -34,7 +34,7 @@ from vppres.service.clock import written
 from vppres.service.events.announced import limits_kw, prices, warnings_ever
 from vppres.service.events.faults import faults_told
 from vppres.service.of_kind import told_by_plans
-from vppres.service.operation.runner import Service
+from vppres.service.operation.site import Service
 from vppres.service.plans.world import World
 from vppres.service.replay.within import StepPart, off_in, parts_of
 from vppres.service.storage.records import Event, seconds

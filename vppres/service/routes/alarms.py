@@ -28,7 +28,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Alarms that stand or wait for an acknowledgement; with ``since`` all since a time."""
         now = runner.clock.now()
         begin = None if since is None else moment_asked(since)
-        return {"now": written(now), "alarms": runner.alarms.listed(now, begin)}
+        return {"now": written(now), "alarms": runner.watch.alarms.listed(now, begin)}
 
     @router.post("/v1/alarms/{number}/acknowledge")
     def acknowledge(
@@ -36,7 +36,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Any]:
         """Note that an operator has seen an alarm; it stays until its condition is gone."""
         reason = body.reason if body else ""
-        return runner.alarms.acknowledge(number, actor, reason, runner.clock.now())
+        return runner.watch.alarms.acknowledge(number, actor, reason, runner.clock.now())
 
     @router.put("/v1/alarms/{number}/shelf")
     def shelve(
@@ -52,11 +52,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
                 field="until",
                 value=written(body.until),
             )
-        return runner.alarms.shelve(number, body.until, actor, body.reason, now)
+        return runner.watch.alarms.shelve(number, body.until, actor, body.reason, now)
 
     @router.delete("/v1/alarms/{number}/shelf")
     def unshelve(number: Number, actor: str = guarded("operator")) -> dict[str, Any]:
         """Let an alarm notify again."""
-        return runner.alarms.shelve(number, None, actor, "", runner.clock.now())
+        return runner.watch.alarms.shelve(number, None, actor, "", runner.clock.now())
 
     return router

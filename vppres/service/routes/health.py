@@ -26,7 +26,7 @@ def routes(runner: Runner) -> APIRouter:
             "database": runner.store.ready(),
             "plan": runner.ahead_s > 0.0,
             "decided": runner.last.get("status", "failed") != "failed",
-            "notices": runner.notifier is None or runner.notifier.alive(),
+            "notices": runner.watch.notifier is None or runner.watch.notifier.alive(),
         }
         ready = all(checks.values())
         ahead = runner.ahead_s if runner.last else None

@@ -8,7 +8,8 @@ from fastapi import APIRouter, Response
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.operation.runner import MODE, Runner
+from vppres.service.operation.runner import Runner
+from vppres.service.operation.site import MODE
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.versions import IfMatch, replaced_by
 from vppres.service.telemetry.knowledge import check_setpoints, last_heard
@@ -30,8 +31,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "step": {"start": last["start"], "status": last["status"]} if last else None,
             "steps": runner.outcomes,
             "sources": last_heard(runner.store),
-            "alarms": runner.alarms.listed(runner.clock.now()),
-            "heard": [vars(one) for one in runner.heard],
+            "alarms": runner.watch.alarms.listed(runner.clock.now()),
+            "heard": [vars(one) for one in runner.deciding.heard],
         }
 
     @router.get("/v1/mode")
@@ -50,7 +51,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Decide, hold the last set-points, give the operator's or defaults, at once."""
         check_setpoints(body.setpoints, runner.scenario)
         asked = body.model_dump()
-        found = runner.checked(asked) if body.setpoints else []
+        found = runner.watch.checked(asked) if body.setpoints else []
         now, replaced = runner.clock.now(), replaced_by(if_match)
         tag = runner.store.put_setting(MODE, asked, now, actor, replaced)
         runner.changes.note(f"mode {body.mode}")
@@ -61,7 +62,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def check_mode(body: payloads.ModeRequest, _: str = guarded("operator")) -> dict[str, Any]:
         """Check an operator's set-points by balance and AC power flow; nothing is changed."""
         check_setpoints(body.setpoints, runner.scenario)
-        return {"found": runner.checked(body.model_dump()) if body.setpoints else []}
+        return {"found": runner.watch.checked(body.model_dump()) if body.setpoints else []}
 
     @router.put("/v1/clock")
     def clock(body: payloads.ClockRequest, _: str = guarded("operator")) -> dict[str, str]:

@@ -20,7 +20,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def told(response: Response) -> dict[str, Any]:
         """Present state, with the ETag that ``If-Match`` takes."""
         response.headers["ETag"] = f'"{runner.store.setting(SWITCHING)[1]}"'
-        return runner.switchgear().told()
+        return runner.watch.switchgear().told()
 
     def kept(asked: dict[str, Any], seen: str, actor: str, if_match: str | None) -> None:
         """Keep what is asked for in the place of what was seen, and of what a sender has seen."""
@@ -42,8 +42,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Any]:
         """Ask for states of switches; no operation is carried out before it is confirmed."""
         before, seen = runner.store.setting(SWITCHING)
-        asked = {**body.model_dump(), "issued": runner.switchgear(before).told()["issued"]}
-        runner.switchgear(asked).check()
+        asked = {**body.model_dump(), "issued": runner.watch.switchgear(before).told()["issued"]}
+        runner.watch.switchgear(asked).check()
         kept(asked, seen, actor, if_match)
         return told(response)
 
@@ -53,7 +53,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Any]:
         """Ask for nothing more; an operation that was confirmed is not taken back."""
         before, seen = runner.store.setting(SWITCHING)
-        kept({"issued": runner.switchgear(before).told()["issued"]}, seen, actor, if_match)
+        kept({"issued": runner.watch.switchgear(before).told()["issued"]}, seen, actor, if_match)
         return told(response)
 
     @router.post("/v1/switching/confirm")
@@ -65,7 +65,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Any]:
         """Confirm the next operation, which devices then carry out."""
         before, seen = runner.store.setting(SWITCHING)
-        kept(runner.switchgear(before).confirmed(body.switch), seen, actor, if_match)
+        kept(runner.watch.switchgear(before).confirmed(body.switch), seen, actor, if_match)
         return told(response)
 
     return router

@@ -33,12 +33,12 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         read = [one for one in body.each if isinstance(one, payloads.Readings)]
         good, refused = readings_of(read, runner.scenario, until)
         refused = [*unread(body, actor), *refused]
-        runner.refused.note(refused, good, now)
+        runner.hearing.refused.note(refused, good, now)
         problems = [one.problem for one in refused]
         if problems and not good:
             raise InputError(problems)
-        kept = runner.hear(good, now, actor)
-        again = runner.asked_again(good)
+        kept = runner.hearing.hear(good, now, actor)
+        again = runner.hearing.asked_again(good)
         return JSONResponse(
             {
                 "accepted": kept.accepted,
