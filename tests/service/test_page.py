@@ -142,7 +142,7 @@ def test_older_steps_are_asked_for(live: Running) -> None:
 
 def test_what_the_gate_refused_is_named(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "vppres.service.operation.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
+        "vppres.service.operation.deciding.refusals", lambda *_: {("batteries", "big"): "no number"}
     )
     decide(runner, NOON)
     found = Overview(runner)._now()
@@ -165,6 +165,21 @@ def test_it_is_made_once_for_all_who_ask(runner: Runner, monkeypatch: pytest.Mon
     assert overview.text() == overview.text() and len(made) == 1
     runner.store.put_events({"storm": {}}, NOON, "test")
     assert b"storm" not in overview.text() and len(made) == 2
+
+
+def test_a_change_is_seen_while_the_overview_is_made_for_others(live: Running) -> None:
+    _, clock, runner = live
+    decide(runner, NOON)
+    overview = Overview(runner)
+    before = overview.text()
+    clock.set(NOON + pd.Timedelta("5s"))
+    with overview._turn:  # another one makes it anew: only time has passed
+        assert overview.fresh() == before
+    assert overview.text() != before
+    runner.store.put_setting("mode", {"mode": "off", "until": None, "reason": ""}, NOON, "test")
+    with overview._turn:
+        assert overview.fresh() is None
+    assert b'"mode":{"mode":"off"' in overview.text()
 
 
 def test_the_page_asks_for_nothing_but_itself(runner: Runner) -> None:

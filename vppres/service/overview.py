@@ -136,34 +136,38 @@ class Overview:
         self._longest_off_h = limits_h(runner.scenario)
         self._turn = threading.Lock()
         self._past: dict[str, dict[str, Any]] = {}
-        self._made: tuple[Any, bytes] = (None, b"")
+        self._made: tuple[Any, Any, bytes] = (None, None, b"")
 
     def fresh(self) -> bytes | None:
-        """Stored answer, if it still holds or is just being made anew."""
-        key, content = self._made
-        return content if content and (key == self._key() or self._turn.locked()) else None
+        """Stored answer, if nothing has changed since; a newer second may just be made.
+
+        An operator who has changed something never sees the state before.
+        """
+        what, second, content = self._made
+        same = what == self._what() and (second == self._second() or self._turn.locked())
+        return content if content and same else None
 
     def text(self) -> bytes:
         """The overview as JSON; the same for a second, if there are only readings that are new."""
         with self._turn:
-            key = self._key()
-            if self._made[0] != key:
+            what, second = self._what(), self._second()
+            if self._made[:2] != (what, second):
                 content = json.dumps(self._now(), allow_nan=False, separators=(",", ":"))
-                self._made = (key, content.encode())
-            return self._made[1]
+                self._made = (what, second, content.encode())
+            return self._made[2]
 
     def history(self, since: pd.Timestamp, until: pd.Timestamp) -> list[dict[str, Any]]:
         """Steps that are kept, in a few numbers each, from a time on and before another one."""
         begin = max(since, until - MOST_HISTORY * self.runner.length)
         return [self._summary(plan) for plan in self.runner.store.plans(begin, until)]
 
-    def _key(self) -> Any:
-        return (
-            self.runner.store.changes,
-            self.runner.hearing.refused.changes,
-            self.runner.changes.reasons,
-            self.runner.clock.now().floor(f"{REFRESH_S}s"),
-        )
+    def _what(self) -> Any:
+        """Counts of what was stored and noted so far."""
+        runner = self.runner
+        return runner.store.changes, runner.hearing.refused.changes, runner.changes.reasons
+
+    def _second(self) -> pd.Timestamp:
+        return self.runner.clock.now().floor(f"{REFRESH_S}s")
 
     def _now(self) -> dict[str, Any]:
         runner = self.runner

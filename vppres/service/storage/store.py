@@ -573,16 +573,17 @@ class Store:
     def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:
         """A transaction that writes; what is routine need not be seen at once."""
         try:
-            with self._writing, _plain_errors(), self._engine.begin() as db:
-                self._database.check(db)
-                yield db
+            with self._writing:
+                with _plain_errors(), self._engine.begin() as db:
+                    self._database.check(db)
+                    yield db
+                self.changes += not routine
         except StorageError:
             self._takes = False
             raise
         finally:
             self._tried_at = machine.monotonic()
         self._takes = True
-        self.changes += not routine
 
     def _rows(self, chosen: Any) -> list[Any]:
         with _plain_errors(), self._engine.connect() as db:
