@@ -17,7 +17,8 @@ from vppres.control import switching
 from vppres.day.configured import configurations_of
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
-from vppres.feeders.reconfiguration.sequence import NO_MARGIN, SwitchingOrder
+from vppres.feeders.reconfiguration.sequence import SwitchingOrder
+from vppres.feeders.reconfiguration.states import NO_MARGIN
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of

@@ -19,12 +19,8 @@ from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.choice import switched_network
 from vppres.feeders.reconfiguration.meshed import MeshedFlow
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
-from vppres.feeders.reconfiguration.sequence import (
-    Formers,
-    SwitchedFeeder,
-    SwitchingOrder,
-    safe_order,
-)
+from vppres.feeders.reconfiguration.sequence import SwitchingOrder, safe_order
+from vppres.feeders.reconfiguration.states import Formers, SwitchedFeeder
 from vppres.physics.phased_sources import assets_of, buses_of
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario

@@ -27,11 +27,8 @@ from vppres.core.plain import Given
 from vppres.core.text import counted, named
 from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
-from vppres.feeders.reconfiguration.sequence import (
-    Formers,
-    SwitchedFeeder,
-    safe_order,
-)
+from vppres.feeders.reconfiguration.sequence import safe_order
+from vppres.feeders.reconfiguration.states import Formers, SwitchedFeeder
 from vppres.model.data import WindowData
 from vppres.model.phases import GRID, phased_model
 from vppres.model.site import Site

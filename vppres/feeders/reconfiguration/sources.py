@@ -16,12 +16,8 @@ from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.folder import injection_at, step_of
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration, ConfigurationLimits
-from vppres.feeders.reconfiguration.sequence import (
-    Formers,
-    SwitchedFeeder,
-    SwitchingOrder,
-    safe_order,
-)
+from vppres.feeders.reconfiguration.sequence import SwitchingOrder, safe_order
+from vppres.feeders.reconfiguration.states import Formers, SwitchedFeeder
 from vppres.feeders.sources import import_network
 from vppres.io.times import option_time
 from vppres.physics.phased_sources import assets_of, drawn_uncontrolled

@@ -14,12 +14,8 @@ from vppres.feeders.reconfiguration.search import (
     ConfigurationLimits,
     LeastLoss,
 )
-from vppres.feeders.reconfiguration.sequence import (
-    MOST_OPERATIONS,
-    MOST_STATES,
-    Operation,
-    SwitchingOrder,
-)
+from vppres.feeders.reconfiguration.sequence import MOST_OPERATIONS, MOST_STATES, SwitchingOrder
+from vppres.feeders.reconfiguration.told import Operation
 
 EXACT_COUNT = 1e15
 """Number from which on a determinant has no exact digits."""

@@ -19,14 +19,10 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
-from vppres.feeders.reconfiguration.sequence import (
-    Formers,
-    Operation,
-    SwitchedFeeder,
-    SwitchingOrder,
-    safe_order,
-)
+from vppres.feeders.reconfiguration.sequence import SwitchingOrder, safe_order
 from vppres.feeders.reconfiguration.sources import of_the_day
+from vppres.feeders.reconfiguration.states import Formers, SwitchedFeeder
+from vppres.feeders.reconfiguration.told import Operation
 from vppres.io.messages import did_you_mean
 from vppres.kinds.table import KINDS, units_of
 from vppres.physics.phased_sources import buses_of
