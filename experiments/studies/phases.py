@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.frame.pages import put_table
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
-from vppres.control.converged import ConvergedPlanner
+from vppres.control.passes import Passes
 from vppres.core.errors import VerificationError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import resilience
@@ -43,7 +43,6 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.scenario.phases import BALANCED
 from vppres.scenario.scenario import REPORT, Scenario
-from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, WindowSolution
 
 FEEDERS = {
@@ -240,10 +239,10 @@ class Timed:
 
 def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
     """Keep how far first candidates are off AC in their first step, in pu, before any pass."""
-    plain = ConvergedPlanner.converge
+    plain = Passes.converged
 
-    def converge(
-        self: ConvergedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
+    def converged(
+        self: Passes, data: WindowData, solution: WindowSolution
     ) -> tuple[WindowData, WindowData, WindowSolution]:
         at, plan = self.linearisation, solution.dispatch
         if data.phased is not None and lit_steps(data)[0]:
@@ -251,9 +250,9 @@ def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
             if points.converged[0]:
                 planned = at.finished(data, plan).v_node_pu
                 off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2))[0].max()))
-        return plain(self, data, solution, deadline)
+        return plain(self, data, solution)
 
-    return patch.object(ConvergedPlanner, "converge", converge)
+    return patch.object(Passes, "converged", converged)
 
 
 class Watched(Day):

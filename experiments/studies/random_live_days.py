@@ -43,8 +43,7 @@ from benchmarks.frame.seeds import (
 )
 from experiments.report import machine
 from experiments.studies.random_days import small_day
-from experiments.studies.shedding import Judge
-from experiments.studies.watched import guard_of
+from experiments.studies.shedding import Judge, seen_by
 from experiments.studies.within import Within
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
@@ -375,7 +374,7 @@ class Player:
         for shed in self.judge.found[before:]:
             if shed.avoidable:
                 self.found.avoidable.append(f"{when}: {asdict(shed)}")
-        _, known = guard_of(self.runner.deciding.controller)
+        known = seen_by(self.runner.deciding.controller)
         b = self.come.batteries
         since_h = (pd.Timestamp(when) - pd.Timestamp(when).floor(QUARTER)) / pd.Timedelta("1h")
         given = SOC_APART + since_h * b.p_max_kw / (b.eta_discharge * b.energy_kwh)

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.frame.seeds import PATIENT
-from experiments.studies.watched import guard_of
+from vppres.contract.observation import Observation
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
+from vppres.day.priority import site_of
+from vppres.live.controller import Controller
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.service.operation.runner import Runner
@@ -72,16 +74,27 @@ class Judge:
 
     def _least(self, first: Flags, steps: int) -> int:
         """Fewest customers of the first tier times steps that must be off."""
-        guard, known = guard_of(self.runner.deciding.controller)
+        controller = self.runner.deciding.controller
+        known = seen_by(controller)
         key = known.online.tobytes() + first.tobytes()
         if key not in self._solvers:
-            site = _first_alone(site_with(guard.site, known.online), first)
+            whole = site_of(controller.scenario, controller.options.as_record())
+            site = _first_alone(site_with(whole, known.online), first)
             self._solvers[key] = WindowSolver(site, limits=PATIENT)
         solver = self._solvers[key]
-        seen = reduced_observation(known, guard.site.batteries)
-        window = WindowData.of(replace(seen, stored_value=None), solver.site, guard.options.centre)
+        seen = reduced_observation(known, controller.scenario.batteries)
+        window = WindowData.of(
+            replace(seen, stored_value=None), solver.site, controller.options.centre
+        )
         served = solver.solve(window.first(steps)).dispatch.served
         return int((~np.asarray(served, dtype=bool)[:, first]).sum())
+
+
+def seen_by(controller: Controller) -> Observation:
+    """What the last decision of a controller took for true."""
+    assert controller.last is not None
+    assert controller.last.seen is not None
+    return controller.last.seen
 
 
 def _first_alone(site: Site, first: Flags) -> Site:

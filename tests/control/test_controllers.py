@@ -11,7 +11,7 @@ from benchmarks.frame.random_feeders import random_scenario
 from tests.support.refusals import refusal
 from tests.support.set_points import decision
 from tests.support.small_windows import observed
-from vppres.contract.decision import Decision
+from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
@@ -176,6 +176,7 @@ def test_correction_names_the_check_and_the_worst_item(
     corrected = full_horizon(tiny, plan).decide(actual(tiny, 4, soc=0.85))
     assert (corrected.corrected, corrected.reason, corrected.row) == (True, reason, 0)
     assert corrected.info.status == "optimal"
+    assert type(corrected.info) is SolveInfo  # a window's solution would keep its whole dispatch
 
 
 def test_correction_for_missing_energy(tiny: Scenario) -> None:

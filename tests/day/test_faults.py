@@ -178,7 +178,7 @@ def test_power_flow_without_solution_sheds_the_lowest_tier(tiny: Scenario) -> No
     scenario = overloaded(tiny)
     day, everyone = Day(scenario, OPTIONS), decision(scenario)
     done = realise(day.plant, day.ac, 1, everyone, day.state)
-    assert done.realised.served.tolist() == [True, True, False]
+    assert done.served.tolist() == [True, True, False]
     assert done.ac_failed.startswith(
         "low and below shed: the AC power flow has no solution: net load 500"
     )
@@ -210,7 +210,7 @@ def test_a_power_flow_that_is_not_found_sheds_nobody(
     monkeypatch.setattr(nose, "MAX_POINTS", 1)
     day = Day(scenario, OPTIONS)
     done = realise(day.plant, day.ac, 1, decision(scenario), day.state)
-    assert done.realised.served.all()
+    assert done.served.all()
     assert not done.shed.any()
     assert not done.ac.converged
     assert done.ac_failed.startswith("nobody shed: the AC power flow was not found: net load 500")
@@ -242,6 +242,6 @@ def test_nothing_left_to_shed_stops_the_devices_too(tiny: Scenario) -> None:
     day = Day(scenario, OPTIONS)
     done = realise(day.plant, day.ac, 1, decision(scenario, battery_kw=[10.0, 0.0]), day.state)
     assert done.ac_failed.startswith("everything shed: ")
-    assert not done.realised.served.any()
-    assert (done.realised.p_injection_kw == 0.0).all()
+    assert not done.served.any()
+    assert (done.p_injection_kw == 0.0).all()
     assert done.ac.v_pu.tolist() == [1.0] * 4

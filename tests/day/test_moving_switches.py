@@ -13,7 +13,7 @@ from tests.support.phased_feeder import CIRCUIT, day_of
 from tests.support.switched import switched_day
 from tests.support.three_phases import three_phases
 from vppres import InputError, RunOptions, read_run, run_day
-from vppres.control import switching
+from vppres.control import operations
 from vppres.day.configured import configurations_of
 from vppres.day.metrics import resilience, summarise
 from vppres.explain.day import explain_day
@@ -185,7 +185,7 @@ def test_words_say_why_no_order_leads_to_what_would_serve_more(
     """A state in between that is beyond its limits does not say that no switch would serve more."""
     reason = "No order keeps the rules in every state: open 2-4 (highest voltage 1.084 pu)."
     none = SwitchingOrder(None, reason, True, NO_MARGIN)
-    monkeypatch.setattr(switching, "safe_order", lambda *_: none)
+    monkeypatch.setattr(operations, "safe_order", lambda *_: none)
     stores = replace(tiny.batteries, grid_forming=[True, False])
     day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
     run = run_day(day, MOVING, steps=3)

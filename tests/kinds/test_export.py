@@ -236,11 +236,10 @@ def ac_export_kw(day: Scenario, battery_kw: Sequence[float]) -> tuple[float, flo
     state = plant.initial_state()
     wanted = decision(day, battery_kw=battery_kw)
     done = realise(plant, ACPowerFlow(day.network), 0, wanted, state)
-    realised = done.realised
     return (
         -done.ac.p_slack_kw,
-        float(realised.pv_curtailed_kw.sum()),
-        float(realised.discharge_kw.sum()),
+        float(done.pv_curtailed_kw.sum()),
+        float(done.discharge_kw.sum()),
     )
 
 

@@ -520,6 +520,11 @@ def test_step_that_fails_leaves_the_controller_as_it_was(
         for now in (time, time + pd.Timedelta("10min")):  # the step again, and the rest of it
             with pytest.raises(InputError):
                 controller.step(Measurement(time, {"bgi": 0.4}, now=now))
+        last = controller.last  # the decision of the set-points
+        assert last is not None
+        assert last.dispatch.served[last.row].tolist() == decision.customers["served"].tolist()
+        assert last.seen is not None
+        assert last.seen.soc.tolist() == decision.batteries["soc"].tolist()
 
 
 def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None:

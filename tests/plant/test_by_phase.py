@@ -49,11 +49,11 @@ def alike(one: Settled, other: Settled, within: float = 1e-6) -> None:
     assert (one.dark_reason, one.former) == (other.dark_reason, other.former)
     assert (one.shed == other.shed).all()
     for name in POWERS:
-        found, expected = getattr(one.realised, name), getattr(other.realised, name)
+        found, expected = getattr(one, name), getattr(other, name)
         assert found == pytest.approx(expected, abs=within)
-    for kind, taken_kw in one.realised.taken_kw.items():
-        assert taken_kw == pytest.approx(other.realised.taken_kw[kind], abs=within)
-        assert (one.realised.running[kind] == other.realised.running[kind]).all()
+    for kind, taken_kw in one.taken_kw.items():
+        assert taken_kw == pytest.approx(other.taken_kw[kind], abs=within)
+        assert (one.running[kind] == other.running[kind]).all()
     assert one.mismatch_kw == pytest.approx(other.mismatch_kw, abs=within)
     assert one.by_set_kw == pytest.approx(other.by_set_kw, abs=within)
     for name in ("v_pu", "losses_kw", "p_slack_kw", "q_slack_kvar"):
@@ -90,7 +90,7 @@ def outcomes(seed: int) -> Iterator[tuple[Settled, Settled]]:
         )
         yield by_phase, balanced
         for plant in plants:
-            plant.advance(t, before, balanced.realised)
+            plant.advance(t, before, balanced)
 
 
 @pytest.mark.parametrize("seed", [*range(12), 31, 97])
@@ -133,11 +133,11 @@ def test_a_set_forms_an_island_and_gives_what_each_phase_lacks(tiny: Scenario) -
     sets = gensets(p_max_kw=210.0, grid_forming=True, power_factor=0.8)
     day = on_phases(tiny, gensets=sets)
     done = settled(day, asked(day, {"gensets": -30.0}), [EMPTY, EMPTY])
-    assert (done.dark, done.former, done.realised.served.all()) == (False, "g0", True)
+    assert (done.dark, done.former, done.served.all()) == (False, "g0", True)
     given_kw = done.ac.source_kva.real
     assert given_kw == pytest.approx(day.load_kw[DARK], rel=2e-3)
     assert given_kw.sum() == pytest.approx(day.load_kw[DARK].sum() + done.ac.losses_kw, abs=1e-3)
-    assert -done.realised.taken_kw["gensets"].sum() == pytest.approx(given_kw.sum(), abs=1e-3)
+    assert -done.taken_kw["gensets"].sum() == pytest.approx(given_kw.sum(), abs=1e-3)
     assert done.by_set_kw == pytest.approx(given_kw.sum() - 30.0, abs=1e-3)
 
 
@@ -180,9 +180,9 @@ def test_a_room_holds_its_temperature_on_a_phase(tiny: Scenario) -> None:
     for t in range(day.grid.n_steps):
         kw = climate.thermostat_kw(t, np.array([24.0]), np.ones(3, dtype=bool))
         done = played(day, asked(day, {"thermal_loads": kw}), before, t, plant)
-        assert not done.dark and done.realised.taken_kw["thermal_loads"] == pytest.approx(kw)
+        assert not done.dark and done.taken_kw["thermal_loads"] == pytest.approx(kw)
         assert done.ac.source_kva[2].real == pytest.approx(day.load_kw[t, 2] + kw[0], rel=5e-3)
-        before = plant.advance(t, before, done.realised)
+        before = plant.advance(t, before, done)
         assert climate.state == pytest.approx([24.0], abs=1e-9)
 
 
@@ -196,7 +196,7 @@ def test_machines_on_an_overloaded_phase_take_less_before_a_customer_is_shed(
     day = on_phases(replace(tiny, thermal_loads=rooms), gensets=sets, load_kw=load_kw)
     done = settled(day, asked(day, {"thermal_loads": 10.0}), [EMPTY, EMPTY])
     assert not done.shed.any()
-    assert done.realised.taken_kw["thermal_loads"][0] == pytest.approx(7.3, abs=0.2)
+    assert done.taken_kw["thermal_loads"][0] == pytest.approx(7.3, abs=0.2)
 
 
 def test_a_set_that_follows_stops_where_it_feeds_a_phase_back(tiny: Scenario) -> None:
@@ -212,7 +212,7 @@ def test_a_set_that_follows_stops_where_it_feeds_a_phase_back(tiny: Scenario) ->
     day = replace(day, phases=replace(day.phases, connections=rows))
     done = settled(day, asked(day, {"gensets": -60.0}), [0.5, EMPTY])
     assert (done.dark, done.shed.any()) == (False, False)
-    assert not done.realised.running["gensets"].any()
+    assert not done.running["gensets"].any()
 
 
 def former_alone(day: Scenario) -> Batteries:
@@ -226,7 +226,7 @@ def test_customers_just_restored_draw_more_on_their_phase(tiny: Scenario) -> Non
     before = state([EMPTY, EMPTY])
     on, off = (asked(day, {}, served=[True, True, served]) for served in (True, False))
     first = played(day, off, before, 0, cold)
-    cold.advance(0, before, first.realised)
+    cold.advance(0, before, first)
     done = played(day, on, before, 1, cold)
     drawn_kw = done.ac.source_kva.real
     assert drawn_kw == pytest.approx(day.load_kw[1] * np.array([1.0, 1.0, 2.0]), rel=5e-3)

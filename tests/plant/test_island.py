@@ -52,9 +52,8 @@ def both_form(scenario: Scenario) -> Scenario:
 
 def generation_less_use_kw(scenario: Scenario, done: Settled, t: int = T) -> float:
     """Power that is made less power that is used or lost."""
-    r = done.realised
-    made = (r.pv_self_kw + r.pv_export_kw).sum() + (r.discharge_kw - r.charge_kw).sum()
-    return float(made - scenario.load_kw[t] @ r.served - done.ac.losses_kw)
+    made = (done.pv_self_kw + done.pv_export_kw).sum() + (done.discharge_kw - done.charge_kw).sum()
+    return float(made - scenario.load_kw[t] @ done.served - done.ac.losses_kw)
 
 
 def test_largest_inverter_forms_the_grid_where_nobody_is_named(tiny: Scenario) -> None:
@@ -72,9 +71,9 @@ def test_reference_pays_for_mismatch_and_losses(tiny: Scenario) -> None:
     missing = 117.0 - 47.5 - 58.0 + done.ac.losses_kw
     assert not done.dark
     assert done.mismatch_kw == pytest.approx([missing, 0.0], abs=1e-5)
-    assert done.realised.discharge_kw == pytest.approx([30.0 + missing, 28.0], abs=1e-5)
+    assert done.discharge_kw == pytest.approx([30.0 + missing, 28.0], abs=1e-5)
     drawn = (30.0 + missing) / 0.95 / 100.0
-    assert done.realised.soc_end[0] == pytest.approx(0.85 - drawn, abs=1e-7)
+    assert done.soc_end[0] == pytest.approx(0.85 - drawn, abs=1e-7)
     assert done.ac.v_pu[1] == pytest.approx(1.0, abs=1e-12)
     assert generation_less_use_kw(small, done) == pytest.approx(0.0, abs=1e-5)
     assert (abs(done.ac.p_slack_kw), abs(done.ac.q_slack_kvar)) < (1e-6, 1e-6)
@@ -97,7 +96,7 @@ def test_reactive_mismatch_is_that_of_the_largest_inverter_that_has_energy(
     done = settle(day, decision(day, batt_q_kvar=told_kvar), state(soc))
     lost = (done.ac.q_from_kvar - done.ac.q_to_kvar).sum()
     told_kvar[reference] = day.load_kvar[T].sum() + lost - 2.0
-    assert done.realised.batt_q_kvar == pytest.approx(told_kvar, abs=1e-5)
+    assert done.batt_q_kvar == pytest.approx(told_kvar, abs=1e-5)
     assert done.ac.v_pu[bus] == pytest.approx(1.0, abs=1e-12)
 
 
@@ -106,11 +105,11 @@ def test_missing_power_sheds_the_least_weight_per_kw_of_the_lowest_tier(tiny: Sc
     day = replace(tiny, customers=replace(tiny.customers, power_factor=np.ones(3)))
     done = settle(day, decision(day, battery_kw=[-20.0, -30.0]), state([0.85, 0.85]))
     assert done.shed.tolist() == [False, False, True]
-    assert done.realised.served.tolist() == [True, True, False]
+    assert done.served.tolist() == [True, True, False]
     assert done.mismatch_kw[0] == pytest.approx(110.0 - 47.5 - 50.0 + done.ac.losses_kw, abs=1e-5)
     # The shed customer's PV system goes on feeding the island.
-    assert done.realised.pv_self_kw[1] == 0.0
-    assert done.realised.pv_export_kw[1] == pytest.approx(18.5)
+    assert done.pv_self_kw[1] == 0.0
+    assert done.pv_export_kw[1] == pytest.approx(18.5)
 
 
 def test_order_of_shedding(tiny: Scenario) -> None:
@@ -130,9 +129,9 @@ def test_other_batteries_cover_a_need_before_a_customer_is_shed(tiny: Scenario) 
     day = replace(tiny, load_kw=tiny.load_kw * 0.68)
     done = settle(day, decision(day, battery_kw=[-50.0, -5.0]), state([0.85, 0.85]))
     assert not done.shed.any()
-    needed_kw = day.load_kw[T].sum() - 47.5 - done.realised.discharge_kw[0] + done.ac.losses_kw
-    assert done.realised.discharge_kw[1] == pytest.approx(needed_kw, abs=5e-3)
-    assert done.realised.discharge_kw[1] > 5.0
+    needed_kw = day.load_kw[T].sum() - 47.5 - done.discharge_kw[0] + done.ac.losses_kw
+    assert done.discharge_kw[1] == pytest.approx(needed_kw, abs=5e-3)
+    assert done.discharge_kw[1] > 5.0
     empty = settle(day, decision(day, battery_kw=[-50.0, 0.0]), state([0.85, 0.15]))
     assert empty.shed.tolist() == [False, False, True]
 
@@ -142,7 +141,7 @@ def test_charging_stops_before_anyone_is_shed(tiny: Scenario) -> None:
     done = settle(small, decision(small, battery_kw=[0.0, 30.0]), state([0.85, 0.2]))
     assert not done.shed.any()
     # 78 kW of demand less 47.5 kW of sun and 50 kW from the battery leave 19.5 for charging.
-    assert done.realised.charge_kw[1] == pytest.approx(19.5 - done.ac.losses_kw, abs=5e-3)
+    assert done.charge_kw[1] == pytest.approx(19.5 - done.ac.losses_kw, abs=5e-3)
 
 
 @pytest.mark.parametrize(("least_kw", "taken_kw"), [(0.0, 19.5), (19.0, 19.5), (19.6, 0.0)])
@@ -156,15 +155,15 @@ def test_a_charger_that_gives_way_takes_its_least_power_or_nothing(
     done = settle(small, asked(small, {"chargers": 22.0}), state([0.85, 0.2]))
     assert not done.shed.any() and not done.dark
     given_kw = taken_kw and taken_kw - done.ac.losses_kw
-    assert done.realised.taken_kw["chargers"] == pytest.approx([given_kw], abs=5e-3)
+    assert done.taken_kw["chargers"] == pytest.approx([given_kw], abs=5e-3)
 
 
 def test_surplus_is_curtailed(tiny: Scenario) -> None:
     # Nobody is served, and the battery that holds the grid has room for 5 kWh: 5.26 kW.
     done = settle(tiny, decision(tiny, served=False), state([0.80, 0.5]))
-    assert done.realised.charge_kw[0] == pytest.approx(5.0 / 0.95, abs=2e-3)
-    assert done.realised.soc_end[0] <= 0.85
-    assert done.realised.pv_curtailed_kw.sum() == pytest.approx(
+    assert done.charge_kw[0] == pytest.approx(5.0 / 0.95, abs=2e-3)
+    assert done.soc_end[0] <= 0.85
+    assert done.pv_curtailed_kw.sum() == pytest.approx(
         47.5 - 5.0 / 0.95 - done.ac.losses_kw, abs=2e-3
     )
     assert generation_less_use_kw(tiny, done) == pytest.approx(0.0, abs=1e-5)
@@ -174,7 +173,7 @@ def test_surplus_of_other_batteries_stops_their_discharge(tiny: Scenario) -> Non
     night = replace(tiny, pv_kw=np.zeros((6, 2)))
     done = settle(night, decision(night, served=False, battery_kw=[0.0, -25.0]), state([0.85, 0.8]))
     # The battery that holds the grid is full; what is left only pays the losses.
-    assert done.realised.discharge_kw[1] < 2e-3
+    assert done.discharge_kw[1] < 2e-3
     assert not done.dark
 
 
@@ -193,17 +192,16 @@ def test_what_is_exported_is_curtailed_before_what_customers_use() -> None:
 
 def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
     """Nobody served, nothing generated, no voltage, and the batteries as they were."""
-    r = done.realised
     return bool(
         done.dark
-        and not r.served.any()
+        and not done.served.any()
         and np.isnan(done.ac.v_pu).all()
         and np.isnan(done.ac.source_kva).all()
         and done.ac.v_pu.shape == (scenario.network.n_buses,)
         and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:8]]).any()
         and (done.mismatch_kw == 0.0).all()
-        and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
-        and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any()
+        and (done.pv_curtailed_kw == scenario.pv_kw[T]).all()
+        and not (done.charge_kw + done.discharge_kw + np.abs(done.p_injection_kw).sum()).any()
     )
 
 
@@ -212,7 +210,7 @@ def test_island_without_energy_is_dark(tiny: Scenario) -> None:
     assert done.dark_reason == NO_ENERGY
     assert dark_and_empty(tiny, done)
     assert done.shed.all()
-    assert done.realised.soc_end.tolist() == [0.15, 0.85]
+    assert done.soc_end.tolist() == [0.15, 0.85]
     other = both_form(tiny)
     assert not settle(other, decision(other, served=False), state([0.15, 0.85])).dark
 
@@ -275,18 +273,17 @@ def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(
     )
     before = Plant(day).initial_state()
     done = settle(day, plan, before, 0)
-    r = done.realised
-    kwh = day.grid.dt_h * (b.eta_charge * r.charge_kw - r.discharge_kw / b.eta_discharge)
-    assert r.soc_end == pytest.approx(before.soc + kwh / b.energy_kwh, abs=1e-9)
-    assert (r.soc_end >= b.soc_min).all() and (r.soc_end <= b.soc_max).all()
-    apparent = np.hypot(r.charge_kw - r.discharge_kw, r.batt_q_kvar)
+    kwh = day.grid.dt_h * (b.eta_charge * done.charge_kw - done.discharge_kw / b.eta_discharge)
+    assert done.soc_end == pytest.approx(before.soc + kwh / b.energy_kwh, abs=1e-9)
+    assert (done.soc_end >= b.soc_min).all() and (done.soc_end <= b.soc_max).all()
+    apparent = np.hypot(done.charge_kw - done.discharge_kw, done.batt_q_kvar)
     assert (apparent <= b.s_max_kva * (1 + 1e-6)).all()
-    assert r.pv_self_kw + r.pv_export_kw + r.pv_curtailed_kw == pytest.approx(day.pv_kw[0])
-    assert np.min([r.pv_self_kw, r.pv_export_kw, r.pv_curtailed_kw], initial=0.0) >= -1e-9
-    assert (done.shed & r.served).sum() == 0
+    assert done.pv_self_kw + done.pv_export_kw + done.pv_curtailed_kw == pytest.approx(day.pv_kw[0])
+    assert np.min([done.pv_self_kw, done.pv_export_kw, done.pv_curtailed_kw], initial=0.0) >= -1e-9
+    assert (done.shed & done.served).sum() == 0
     assert generation_less_use_kw(day, done, 0) == pytest.approx(0.0, abs=1e-4)
     if done.dark:
-        assert not r.served.any()
+        assert not done.served.any()
 
 
 # Power flows that Newton's method does not find.
@@ -315,7 +312,7 @@ def test_an_island_whose_flow_is_not_found_keeps_its_customers(
     monkeypatch.setattr(nose, "MAX_POINTS", 0)
     done = settle(day, plan, state([0.85, 0.85]))
     assert not done.dark
-    assert done.realised.served.all()
+    assert done.served.all()
     assert done.ac_failed.startswith("nobody shed: the AC power flow was not found: ")
     # The balance without losses holds: 117 kW of demand, 47.5 kW of sun, 58 kW planned.
     assert done.mismatch_kw == pytest.approx([117.0 - 47.5 - 58.0, 0.0], abs=1e-6)

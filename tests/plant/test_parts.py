@@ -49,7 +49,7 @@ def sums(day: Scenario, out: OutOfService, values: Floats) -> Floats:
 def test_each_island_part_balances_with_its_losses(seed: int) -> None:
     day = faulted_day(seed)
     out, done = settled(day, seed)
-    given_kw = sums(day, out, done.realised.p_injection_kw)
+    given_kw = sums(day, out, done.p_injection_kw)
     lost_kw = np.zeros(day.network.n_buses)
     lost_kw[1:] = done.ac.p_from_kw - done.ac.p_to_kw
     lost_kw = sums(day, out, lost_kw)
@@ -59,7 +59,7 @@ def test_each_island_part_balances_with_its_losses(seed: int) -> None:
     # Who is off has a reason, or was shed in a part that is lit.
     assert done.off is not None
     dark = done.off != ""
-    assert not done.realised.served[dark].any()
+    assert not done.served[dark].any()
     at = [day.network.bus_index[bus] for bus in day.customers.bus]
     np.testing.assert_array_equal(np.isnan(done.ac.v_pu[at]), dark)
     for reason in set(done.off[dark]):
@@ -72,6 +72,6 @@ def test_one_part_is_the_whole_feeder() -> None:
     run, decision = first_decision(replace(day, faults=()))
     whole = realise(run.plant, run.ac, 0, decision, run.state)
     for name in ("served", "charge_kw", "discharge_kw", "soc_end", "p_injection_kw"):
-        np.testing.assert_array_equal(getattr(done.realised, name), getattr(whole.realised, name))
+        np.testing.assert_array_equal(getattr(done, name), getattr(whole, name))
     np.testing.assert_array_equal(done.ac.v_pu, whole.ac.v_pu)
     assert done.ac.p_slack_kw == whole.ac.p_slack_kw

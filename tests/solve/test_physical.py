@@ -33,7 +33,9 @@ from vppres.control.linearisation import (
     DEFAULT_PASSES,
     LOSS_TOLERANCE_KW,
     VOLTAGE_TOLERANCE_PU,
+    BalancedLinearisation,
 )
+from vppres.control.passes import Passes
 from vppres.core.errors import InputError, ModelError, NumericalError
 from vppres.day.metrics import cautions, resilience, summarise
 from vppres.day.options import RunOptions
@@ -318,17 +320,18 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     site = Site.of(tiny)
     data = island_window(tiny, 0.85, 0, 3)
     start = lossless(data, physics_of(site, data, 0.1))
-    planner = ConvergedPlanner(WindowSolver(site))
-    dispatch = planner.solver.solve(start).dispatch
+    solver = WindowSolver(site)
+    passes = Passes(solver, BalancedLinearisation(site), 4, Deadline(60.0))
+    dispatch = solver.solve(start).dispatch
     points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
     exact = linearised(start, tiny.network, points)
     met = replace(dispatch, v_pu=points.v_pu)
-    assert planner.agrees(exact, met, points)
+    assert passes.agree(exact, met, points)
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
-    assert not planner.agrees(exact, replace(met, v_pu=one_off), points)
+    assert not passes.agree(exact, replace(met, v_pu=one_off), points)
     none = replace(points, converged=np.zeros(3, dtype=bool))
-    assert not planner.agrees(exact, met, none)
+    assert not passes.agree(exact, met, none)
 
 
 def test_an_outage_that_finds_the_former_empty_is_blacked_out_from_its_first_step() -> None:

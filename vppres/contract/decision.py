@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Protocol
 
 import numpy as np
@@ -77,6 +77,11 @@ class SolveInfo:
     levels: str = ""  #: units that each tier gets in strict order, and could at most
     moved_kw: float = np.nan  #: by how much batteries leave the plan before
     stored_value_gbp_per_kwh: float = np.nan  #: what one more stored kWh is worth later
+
+    @property
+    def figures(self) -> SolveInfo:
+        """Figures alone: a solution has its window's dispatch beside them."""
+        return SolveInfo(**{f.name: getattr(self, f.name) for f in fields(SolveInfo)})
 
     @property
     def gap_abs(self) -> float:

@@ -15,9 +15,12 @@ import numpy as np
 
 from vppres.contract.decision import Decider, Decision, Switched
 from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
 from vppres.control.remembered import PART, memory_of, put_back
+from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags
 from vppres.core.plain import Given
+from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.configuration import Branches, Configured, in_configuration
 from vppres.scenario.scenario import Scenario
@@ -35,6 +38,7 @@ class ControllerIn:
 
     day: Configured  #: the scenario
     site: Site  #: what is planned for
+    centre: Centre  #: linearisation centre of the voltages
     controller_of: Callable[[Scenario], Decider]  #: makes its controller
     #: Makes the solver of bounds of a site; None where none is known.
     solver_of: Callable[[Site], WindowSolver] | None
@@ -48,6 +52,12 @@ class ControllerIn:
     def solver(self) -> WindowSolver | None:
         """The solver of bounds of its windows."""
         return None if self.solver_of is None else self.solver_of(self.site)
+
+    def bound(self, seen: Observation, within_s: float) -> float:
+        """Most that a plan of what is seen can be worth, infinite if it is not known."""
+        if self.solver is None:
+            return np.inf
+        return self.solver.fleet_bound(WindowData.of(seen, self.site, self.centre), within_s)
 
 
 class InConfiguration:
@@ -77,6 +87,7 @@ class InConfiguration:
         controller_of: Callable[[Scenario], Decider],
         site_of: Callable[[Scenario], Site],
         given: Callable[[Site], Given],
+        centre: Centre,
         solver_of: Callable[[Site], WindowSolver] | None = None,
     ) -> None:
         self.day = day
@@ -86,6 +97,7 @@ class InConfiguration:
         self._controller_of = controller_of
         self._site_of = site_of
         self._given = given
+        self._centre = centre
         self._solver_of = solver_of
         self._known: dict[bytes, ControllerIn] = {}
 
@@ -118,11 +130,20 @@ class InConfiguration:
 
     def go_on_in(self, closed: Flags, memory: dict[str, Any], t0: int) -> None:
         """Let a configuration be the present one from a step on."""
-        since = t0 - DAY_H / self.day.grid.dt_h
-        recent = ((t, moved) for t, moved in self.moved if t > since)
-        self.moved = (*recent, (t0, closed != self.closed))
+        self.moved = (*self._recent(t0), (t0, closed != self.closed))
         self.closed = closed
         self.remember_in(self.controller_in(closed), memory)
+
+    def _recent(self, t0: int) -> tuple[tuple[int, Flags], ...]:
+        """Operations of the 24 hours before a step."""
+        since = t0 - DAY_H / self.day.grid.dt_h
+        return tuple(one for one in self.moved if one[0] > since)
+
+    def movable(self, observation: Observation) -> Flags:
+        """Branches that may move in a window: they have operations of 24 hours left."""
+        done = sum((moved.astype(int) for _, moved in self._recent(observation.t0)), start=0)
+        left = np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
+        return left & self.branches.movable(~self.closed, observation.forecast.out)
 
     def controller_in(self, closed: Flags) -> ControllerIn:
         """The controller of a configuration, made once."""
@@ -133,7 +154,9 @@ class InConfiguration:
                 self._known = {kept: self._known[kept]}
             day = in_configuration(self.day, self.branches, closed)
             site = self._site_of(day.scenario)
-            self._known[key] = ControllerIn(day, site, self._controller_of, self._solver_of)
+            self._known[key] = ControllerIn(
+                day, site, self._centre, self._controller_of, self._solver_of
+            )
         return self._known[key]
 
     def seen_in(self, part: ControllerIn, observation: Observation) -> Observation:
@@ -143,6 +166,10 @@ class InConfiguration:
         here = np.array_equal(part.day.closed, self.closed)
         point = observation.operating_point if here else None
         return replace(observation, forecast=forecast, operating_point=point)
+
+    def state_in(self, part: ControllerIn, observation: Observation) -> StepState:
+        """The observed step in a configuration."""
+        return StepState.of(part.site, self.seen_in(part, observation), self._centre)
 
     def memory_in(self, part: ControllerIn) -> dict[str, Any]:
         """Memory of the controller of a configuration."""

@@ -1,10 +1,8 @@
 """Windows of physical mode: solve, AC power flow of the candidate, linearise there, solve again.
 
 The first solve decides who is served, at the AC points of the plan before. The passes after it
-solve the continuous part for that set, at the AC points of the last candidate, until model and AC
-agree in every step or the passes are used up. From the third on batteries keep their turns, by
-phase that to rest too: two plans that are worth the same may charge in different steps, and what
-they lose is never the same. The set is decided anew only where the losses leave it no dispatch.
+(:mod:`vppres.control.passes`) solve the continuous part for that set, at the AC points of the last
+candidate, until model and AC agree in every step or the passes are used up.
 """
 
 from __future__ import annotations
@@ -15,17 +13,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
-from vppres.control.linearisation import BalancedLinearisation, Linearisation, Points
+from vppres.control.linearisation import BalancedLinearisation, Linearisation
+from vppres.control.passes import Passes
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.control.unheld import UnheldSteps
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InfeasibleError, LimitError, NumericalError
+from vppres.core.errors import InfeasibleError, NumericalError
 from vppres.kinds.batteries.physics import BatteriesAhead
-from vppres.model.beyond_paper.losses import lit_steps
-from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
 from vppres.model.data import Physics, WindowData
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
@@ -46,7 +42,6 @@ SOC_NUDGE = 1e-6
 """Change of a measured SoC that is tried before a window counts as infeasible."""
 
 _NO_POWER_KW = 1e-6
-_MAX_DECISIONS = 3
 
 
 def linearisation_of(site: Site) -> Linearisation[Any]:
@@ -102,7 +97,8 @@ class ConvergedPlanner:
             dark = dark | beyond
             start = self._at_rest(whole, dark)
             data, solution = self.decide(start, start, first)
-        data, reached, solution = self.converge(data, solution, deadline)
+        passes = Passes(self.solver, self.linearisation, self.passes, deadline)
+        data, reached, solution = passes.converged(data, solution)
         known = self.linearisation.known(reached, solution.dispatch)
         self._last = LastWindow(t0, kinds_of(reached), known)
         return self._finished(whole, dark, data, solution)
@@ -117,11 +113,6 @@ class ConvergedPlanner:
         whole, dark = whole.formed(site, dark_steps(site, whole), self.headroom)
         return whole, dark, self._at_rest(whole, dark)
 
-    def nudged(self, data: WindowData) -> WindowData:
-        """The window with states of charge that miss no need by rounding."""
-        soc = np.minimum(data.soc + SOC_NUDGE, self.solver.site.batteries.soc_max)
-        return replace(data, soc=soc)
-
     def decide(
         self, data: WindowData, start: WindowData, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
@@ -132,111 +123,16 @@ class ConvergedPlanner:
         calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
         dispatch at all, the window is solved as it was before one was put in.
         """
-        nudged = self.nudged(data)
         try:
             return data, self.solver.solve(data, deadline.left_s)
         except (InfeasibleError, NumericalError):
             pass
+        soc = np.minimum(data.soc + SOC_NUDGE, self.solver.site.batteries.soc_max)
+        nudged = replace(data, soc=soc)
         try:
             return nudged, _with_stage("nudged", self.solver.solve(nudged, deadline.left_s))
         except (InfeasibleError, NumericalError):
             return start, _with_stage("lossless", self.solver.solve(start, deadline.left_s))
-
-    def converge(
-        self, data: WindowData, solution: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowData, WindowSolution]:
-        """The candidate at which model and AC meet: its window, that linearised there, and it."""
-        data, solution = self.kept(data, solution, deadline)
-        decided = solution
-        decisions = 1
-        passes = 1
-        points = self.linearisation.points(data, solution.dispatch)
-        while passes < self.passes and not self.agrees(data, solution.dispatch, points):
-            closer = self.linearisation.closer(data, solution.dispatch, points, passes)
-            if data.unspent is not None:
-                plan = solution.dispatch
-                limits = unspent(self.solver.site, closer, plan, data.network_kw)
-                closer = replace(closer, unspent=limits)
-            more = decisions < _MAX_DECISIONS
-            again, anew = self.again(
-                closer, solution, deadline, keeps_turns=passes > 1, decides=more
-            )
-            if again is None:
-                break
-            if anew:
-                closer, again = self.kept(replace(closer, unspent=None), again, deadline)
-                decided = again
-                decisions += 1
-            data = closer
-            solution = again
-            passes = passes + 1
-            points = self.linearisation.points(data, solution.dispatch)
-        reached = self.linearisation.closer(data, solution.dispatch, points, passes)
-        carried = bool(points.converged[lit_steps(data)].all())
-        converged = replace(
-            decided.carried_by(solution),
-            status=decided.status if carried else Status.INACCURATE,
-            passes=passes,
-        )
-        return data, reached, converged
-
-    def agrees(self, data: WindowData, dispatch: Dispatch, points: Points) -> bool:
-        """Whether AC carries a candidate in every step with power, as its window says."""
-        lit = lit_steps(data)
-        if not points.converged[lit].all():
-            return False
-        return not lit.any() or self.linearisation.agrees(data, dispatch, points)
-
-    def again(
-        self,
-        data: WindowData,
-        before: WindowSolution,
-        deadline: Deadline,
-        *,
-        keeps_turns: bool,
-        decides: bool,
-    ) -> tuple[WindowSolution | None, bool]:
-        """A closer window for the set before, and whether a set was decided anew for it.
-
-        That is only where the set has no dispatch, if there may be another; None without any.
-        Its seconds are those of all solves so far.
-        """
-        plan = before.dispatch
-        found = self.solver.solve_served(
-            data, plan.served, plan, keeps_turns=keeps_turns, within_s=deadline.left_s
-        )
-        if found is not None:
-            return found.after(before), False
-        if not decides or deadline.passed:
-            return None, False
-        try:
-            freed = replace(data, unspent=None)
-            return self.solver.solve(freed, deadline.left_s).after(before), True
-        except (InfeasibleError, NumericalError, LimitError):
-            return None, True
-
-    def kept(
-        self, data: WindowData, solution: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
-        """Plan of the same supply in which nothing stored is spent while PV power is curtailed.
-
-        Objective and bound stay those of the window in which the supply was decided. If the
-        network has no such dispatch, both stay as they are.
-        """
-        site = self.solver.site
-        plan = solution.dispatch
-        if not data.parts.whole:  # what one part curtails no battery of another could keep
-            return data, solution
-        if deadline.passed or not (spent_kw(site, data, plan) > SPENT_KW).any():
-            return data, solution
-        limited = replace(data, unspent=unspent(site, data, plan, data.network_kw))
-        found = self.solver.solve_served(
-            limited, plan.served, _charging_beside_pv(limited, plan), within_s=deadline.left_s
-        )
-        if found is None or (spent_kw(site, data, found.dispatch) > SPENT_KW).any():
-            return data, solution
-        stages = (*solution.stages, "unspent", *found.stages)
-        return limited, replace(solution.carried_by(found.after(solution)), stages=stages)
 
     def _at_rest(self, whole: WindowData, dark: Flags) -> WindowData:
         """The window with its dark steps, in the linearisation that is known without a plan."""
@@ -262,17 +158,6 @@ class ConvergedPlanner:
         plan = self.linearisation.finished(data, solution.dispatch)
         site, limits = self.solver.site, self.solver.limits
         return in_the_dark(site, whole, dark, replace(solution, dispatch=plan), limits)
-
-
-def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:
-    """A plan whose batteries' turns are to charge wherever they may give nothing."""
-    assert data.unspent is not None
-    nothing = data.unspent.discharge_kw <= 0.0
-    return replace(
-        plan,
-        charge_kw=np.where(nothing, np.maximum(plan.charge_kw, _NO_POWER_KW), plan.charge_kw),
-        discharge_kw=np.where(nothing, 0.0, plan.discharge_kw),
-    )
 
 
 def _with_stage(attempt: str, solution: WindowSolution) -> WindowSolution:

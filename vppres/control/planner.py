@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vppres.contract.decision import Decision
+from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.errors import InfeasibleError
@@ -71,9 +71,13 @@ class OnePass:
 
 def decided(solver: WindowSolver, solution: WindowSolution) -> Decision:
     """The first step of a window's solution."""
-    levels = levels_of(solver.site, solution)
-    info = replace(solution, compilations=solver.compilations, levels=levels)
+    info = replace(info_of(solver.site, solution), compilations=solver.compilations)
     return Decision(solution.dispatch, 0, info)
+
+
+def info_of(site: Site, solution: WindowSolution) -> SolveInfo:
+    """Figures of a window's solution, and the levels of its tiers."""
+    return replace(solution.figures, levels=levels_of(site, solution))
 
 
 def levels_of(site: Site, solution: WindowSolution) -> str:

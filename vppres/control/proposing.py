@@ -8,7 +8,9 @@ import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
-from vppres.control.switching import Begin, Search, Switching
+from vppres.control.operations import Operations
+from vppres.control.search import Search
+from vppres.control.switching import Switching
 
 
 class Proposing(Switching):
@@ -23,12 +25,12 @@ class Proposing(Switching):
         if found is search.stay:
             return replace(search.certified(), switched=search.record)
         closed = None if found.waits else found.candidate.closed
-        proposed = replace(self.reasoned(search), proposed=closed, order=found.order)
+        proposed = replace(search.reasoned(), proposed=closed, order=found.order)
         return replace(decision, switched=proposed)
 
-    def begin(self, observation: Observation, stay: Decision) -> Begin:
-        """State in which the decision leaves the feeder."""
-        here = self.controller_in(self.closed)
-        dead = here.day.at_buses(self.step_state(here, observation).parts.dead[0])
+    def operations(self, observation: Observation) -> Operations:
+        """Operations that begin as the decision leaves the feeder."""
         out = observation.forecast.out.part(slice(1))
-        return Begin(out, out, ~np.asarray(dead))
+        here = self.controller_in(self.closed)
+        dead = here.day.at_buses(self.state_in(here, observation).parts.dead[0])
+        return Operations(self, observation, out, out, ~np.asarray(dead), self.within)

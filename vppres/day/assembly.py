@@ -135,7 +135,7 @@ def _of_configurations(
         return {Site: site, SwitchingRules: options.switching}
 
     if not (options.move_switches and scenario.switches.movable.any()):
-        return InConfiguration(scenario, controller_of, site_in, given)
+        return InConfiguration(scenario, controller_of, site_in, given, options.centre)
     weighed_anew = options.shares_supply or (own is not None and own.weights is not None)
     kind = Proposing if measured else Switching
     return kind(
@@ -143,8 +143,8 @@ def _of_configurations(
         controller_of,
         site_in,
         given,
-        None if weighed_anew else _solver_maker(replace(options, isolate=False)),
         options.centre,
+        None if weighed_anew else _solver_maker(replace(options, isolate=False)),
         options.limits,
         _guard_options(scenario, options, simulated=own is not None).within,
     )

@@ -246,8 +246,7 @@ class Day:
         if decision.switched is not None:
             self.go_on_in(decision.switched.closed)
         done = self.carry_out(t, decision)
-        realised = done.realised
-        kinds = records_of(self.plant, t, realised)
+        kinds = records_of(self.plant, t, done)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
@@ -267,19 +266,19 @@ class Day:
                 result.v_pu,
                 result.p_from_kw,
                 result.q_from_kvar,
-                self.plant.places.at_buses(realised.p_injection_kw),
-                self.plant.places.at_buses(realised.q_injection_kvar),
+                self.plant.places.at_buses(done.p_injection_kw),
+                self.plant.places.at_buses(done.q_injection_kvar),
                 bool(self.scenario.outage[t]),
                 lines_out=out.lines[0],
             )
         )
-        self.battery_kw = realised.battery_kw
+        self.battery_kw = done.battery_kw
         # An island that batteries hold has no meter of import; what was not found is no reading.
         metered = not (self._held_by_batteries(t) or done.ac_failed)
         self.import_kw = result.p_slack_kw if metered else None
-        self.served = realised.served
-        self.flexible_kw = realised.flexible_kw
-        self.state = self.plant.advance(t, self.state, realised)
+        self.served = done.served
+        self.flexible_kw = done.flexible_kw
+        self.state = self.plant.advance(t, self.state, done)
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
@@ -387,7 +386,7 @@ def _record(
         **voltage_figures(**nodes),
         **_of_solution(decision, done),
         "ac_failed": done.ac_failed,
-        **_effort(decision.info, done.realised.clipped_kw),
+        **_effort(decision.info, done.clipped_kw),
         "mode": str(options.mode),
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
@@ -398,7 +397,7 @@ def _record(
         t,
         steps,
         _of_customers(scenario, decision, done),
-        _of_pv(scenario.pv_kw[t], done.realised),
+        _of_pv(scenario.pv_kw[t], done),
         _of_batteries(state, done),
         buses,
         lines,
@@ -408,19 +407,18 @@ def _record(
 
 def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict[str, Any]:
     """Demand, and who was supplied; weights and shares where plans have them."""
-    realised = done.realised
     columns: dict[str, Any] = {
-        "p_load_kw": realised.load_kw,
-        "q_load_kvar": realised.load_kw * scenario.customers.q_per_p,
-        "served": realised.served,
+        "p_load_kw": done.load_kw,
+        "q_load_kvar": done.load_kw * scenario.customers.q_per_p,
+        "served": done.served,
         "shed": done.shed,
     }
     if decision.weight is not None:
         columns[ROTATED] = decision.weight
     if scenario.customers.dimmable.any():
-        columns[SHARE] = realised.served * realised.share
+        columns[SHARE] = done.served * done.share
     if scenario.faults or decision.switched is not None:
-        nothing = np.full(len(realised.served), "", dtype=object)
+        nothing = np.full(len(done.served), "", dtype=object)
         columns[OFF_BY_FAULT] = nothing if done.off is None else done.off
     return columns
 
@@ -438,13 +436,12 @@ def _of_pv(available_kw: Floats, realised: Realised) -> dict[str, Floats]:
 
 def _of_batteries(state: BatteryState, done: Settled) -> dict[str, Floats]:
     """Powers of batteries, and their state before and after the step."""
-    realised = done.realised
     return {
-        "charge_kw": realised.charge_kw,
-        "discharge_kw": realised.discharge_kw,
-        "q_kvar": realised.batt_q_kvar,
+        "charge_kw": done.charge_kw,
+        "discharge_kw": done.discharge_kw,
+        "q_kvar": done.batt_q_kvar,
         "soc_start": state.soc,
-        "soc_end": realised.soc_end,
+        "soc_end": done.soc_end,
         "eta_charge": state.eta_charge,
         "eta_discharge": state.eta_discharge,
         "temperature_c": state.t_cell_c,
@@ -546,6 +543,6 @@ def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
         "dark": float(done.dark),
         "dark_reason": done.dark_reason,
         "island_mismatch_kw": float(done.mismatch_kw.sum()) + done.by_set_kw,
-        "shed_kw": float(done.realised.load_kw @ done.shed),
+        "shed_kw": float(done.load_kw @ done.shed),
         "v_within_ac": float(within),
     }

@@ -43,6 +43,12 @@ class Controller:
     steps it keeps the compiled problems, the plan of a full horizon, and the AC operating point of
     its last set-points, around which it linearises the voltages.
 
+    Attributes
+    ----------
+    last : Decision or None
+        The last decision, with its whole plan and what it took for true (``seen``); None before the
+        first, and where a state is gone on from.
+
     Examples
     --------
     >>> import vppres
@@ -76,6 +82,7 @@ class Controller:
         # Steps of controllers count on from the very first one; the scenario begins later.
         self._forgotten = at.forgotten
         self._past = at.past
+        self.last: Decision | None = None
         self._step_before: tuple[dict[str, Any], Past] | None = at.before
         self._given = given_by(scenario, options)
         self._past_days = past_days_of(scenario, options.seed)
@@ -389,13 +396,13 @@ class Controller:
                 self._past_days,
                 max(self._past.t - self._forgotten, 0),
             )
-            points, past = self._decision_and_state(present)
+            decision, points, past = self._decision_and_state(present)
         except BaseException as error:  # Ctrl-C too
             self._recall(latest)
             if isinstance(error, Exception) and not isinstance(error, VppresError):
                 raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
             raise
-        self._past = past
+        self.last, self._past = decision, past
         if not (within and self._step_before):
             self._step_before = start
         return points
@@ -411,14 +418,15 @@ class Controller:
         """Let the decider stand where a memory of it was made."""
         put_back(self._decider, memory, self._given, WHERE)
 
-    def _decision_and_state(self, present: Present) -> tuple[SetPoints, Past]:
-        """Decision for the window as it is expected, and the state to go on from."""
+    def _decision_and_state(self, present: Present) -> tuple[Decision, SetPoints, Past]:
+        """Decision for the window as it is expected, its tables, and the state to go on from."""
         known_now = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without_disconnected(self._decider.decide(known_now), present.connected)
         words = (*present.estimated, decision.estimated)
         estimated = "; ".join(filter(None, words))
-        decision = replace(decision, estimated=estimated)
-        day = present.day(decision.seen or known_now, decision.estimated)
+        seen = decision.seen or known_now
+        decision = replace(decision, estimated=estimated, seen=seen)
+        day = present.day(seen, estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, known_now)
         points = SetPoints.of(
@@ -430,7 +438,7 @@ class Controller:
             present.closed,
             Proposal.of(day.branches, decision.switched, record),
         )
-        return points, present.after(day, record)
+        return decision, points, present.after(day, record)
 
 
 def _without_disconnected(decision: Decision, connected: Flags) -> Decision:

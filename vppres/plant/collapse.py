@@ -49,11 +49,11 @@ def realise(
 def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: str) -> Settled:
     """A connected step as it came out; customers planned as supplied that are not were shed."""
     asked = np.asarray(decision.dispatch.served[decision.row], dtype=bool)
-    return Settled(
+    return Settled.of(
         realised,
-        ac,
-        np.zeros(len(realised.battery_kw)),
-        asked & ~realised.served,
+        ac=ac,
+        mismatch_kw=np.zeros(len(realised.battery_kw)),
+        shed=asked & ~realised.served,
         ac_failed=ac_failed,
     )
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,11 +62,10 @@ NO_SET = "no grid-forming generating set can run"
 SET_NO_BALANCE = "the grid-forming generating set cannot balance the island"
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """One step of an island once everything has settled."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Settled(Realised):
+    """One step once everything has settled; no customer is supplied in a blackout."""
 
-    realised: Realised  #: what really happened; no customer is supplied in a blackout
     ac: ACResult  #: AC power flow with exactly zero import; voltages are NaN in a blackout
     mismatch_kw: Floats  #: what each battery gave beyond its set-point (negative, (B,): took)
     shed: Flags  #: who was to be served and was cut off, (C,)
@@ -79,6 +79,11 @@ class Settled:
     off: Names | None = None
     #: What the former of a part gives on each phase if lines are out, (phases,).
     former_kva: Complexes | None = None
+
+    @classmethod
+    def of(cls, realised: Realised, **settled: Any) -> Settled:
+        """Step as it happened, with what the network and its protection made of it."""
+        return cls(**vars(realised), **settled)
 
     @property
     def dark(self) -> bool:
@@ -193,7 +198,7 @@ class IslandPlant:
     def _supplied(self, settled: Settled) -> tuple[int, ...]:
         """How many customers of each tier are on, those of the first tier first."""
         s = self.plant.scenario
-        on = s.customers.tier[settled.realised.served]
+        on = s.customers.tier[settled.served]
         return (int(not settled.dark), *(int((on == tier).sum()) for tier in s.tiers))
 
     def _held(
@@ -235,11 +240,11 @@ class IslandPlant:
         former = found.former
         realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
         gave = set_points.battery_kw - found.powers.battery_kw
-        return Settled(
+        return Settled.of(
             realised,
-            found.ac,
-            np.where(former.batteries, gave, 0.0),
-            planned.served & ~realised.served,
+            ac=found.ac,
+            mismatch_kw=np.where(former.batteries, gave, 0.0),
+            shed=planned.served & ~realised.served,
             ac_failed=found.not_found,
             by_set_kw=_given_beyond_kw(set_points, found.powers),
             former=former.name,
@@ -388,8 +393,13 @@ class IslandPlant:
             batteries,
         )
         realised = self.plant.realise(t, off, state)
-        reason = f"{reason} {self.where}".rstrip()
-        return Settled(realised, self.flow.dead(), batteries, planned.served, reason)
+        return Settled.of(
+            realised,
+            ac=self.flow.dead(),
+            mismatch_kw=batteries,
+            shed=planned.served,
+            dark_reason=f"{reason} {self.where}".rstrip(),
+        )
 
 
 def shedding_order(scenario: Scenario, t: int) -> list[int]:

@@ -19,7 +19,7 @@ from vppres.physics.phased_sources import measured_at
 from vppres.physics.powerflow import ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, PartOfPlant, Settled
-from vppres.plant.plant import BatteryState, Plant, Realised
+from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within
 
@@ -127,30 +127,30 @@ def _in_row(values: Any, row: int, inside: Flags, outside: Any) -> Any:
 def _joined(parts: list[SettledPart], bus_of_node: Wholes) -> Settled:
     """The step of the whole feeder, whose voltages by phase are at these buses."""
     every = [done for _, done in parts]
-    realised = reduce(_with_part, parts, every[0].realised)
+    whole = reduce(_with_part, parts, every[0])
     dark = [done.dark_reason for done in every]
-    reasons = np.full(len(realised.served), "", dtype=object)
+    reasons = np.full(len(whole.served), "", dtype=object)
     for inside, done in parts:
         reasons[inside.customers] = done.dark_reason
     formed = [done for done in every if done.former]
     failed = [done.ac_failed for done in every if done.ac_failed]
-    return Settled(
-        realised,
-        _joined_flow(parts, bus_of_node),
-        sum((done.mismatch_kw for done in every[1:]), start=every[0].mismatch_kw),
-        np.any([done.shed & inside.customers for inside, done in parts], axis=0),
-        "; ".join(dict.fromkeys(dark)) if all(dark) else "",
-        "; ".join(failed),
-        sum(done.by_set_kw for done in every),
-        formed[0].former if formed else "",
-        reasons,
-        formed[0].ac.source_kva if formed else None,
+    return replace(
+        whole,
+        ac=_joined_flow(parts, bus_of_node),
+        mismatch_kw=sum((done.mismatch_kw for done in every[1:]), start=every[0].mismatch_kw),
+        shed=np.any([done.shed & inside.customers for inside, done in parts], axis=0),
+        dark_reason="; ".join(dict.fromkeys(dark)) if all(dark) else "",
+        ac_failed="; ".join(failed),
+        by_set_kw=sum(done.by_set_kw for done in every),
+        former=formed[0].former if formed else "",
+        off=reasons,
+        former_kva=formed[0].ac.source_kva if formed else None,
     )
 
 
-def _with_part(so_far: Realised, part: SettledPart) -> Realised:
+def _with_part(so_far: Settled, part: SettledPart) -> Settled:
     """A step whose devices in a part did what they did there."""
-    inside, own = part[0], part[1].realised
+    inside, own = part
     of_items = {
         "served": inside.customers,
         "load_kw": inside.customers,

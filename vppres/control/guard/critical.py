@@ -16,7 +16,7 @@ from vppres.control.guard.check import violations
 from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.kept import as_planned, by_rule
-from vppres.control.planner import levels_of
+from vppres.control.planner import info_of
 from vppres.control.rules import carry
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats
@@ -96,9 +96,8 @@ class CriticalFirst:
             # Nothing is worth keeping beside the first tier.
             alone = replace(seen, stored_value=None)
             solution = solver.solve(WindowData.of(alone, solver.site, self.options.centre).first(1))
-            info = replace(solution, levels=levels_of(solver.site, solution))
             whole = whole_fleet(solution.dispatch, known.online, known.soc)
-            decision = Decision(whole, 0, info)
+            decision = Decision(whole, 0, info_of(solver.site, solution))
             wrong = violations(decision, state, self.options.within)
             return by_rule(state, self.options.tiers, "; ".join(wrong)) if wrong else decision
         except self.options.answers as error:

@@ -28,7 +28,7 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with, w
 from vppres.control.guard.relax import relaxed_answers
 from vppres.control.kept import as_planned, by_rule
 from vppres.control.phased_rule import carried_by_phase
-from vppres.control.planner import levels_of
+from vppres.control.planner import info_of
 from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry
 from vppres.control.step_state import StepState
@@ -185,7 +185,7 @@ class GuardedController:
             decision = Decision(
                 dispatch,
                 0,
-                replace(solution, levels=levels_of(site, solution)),
+                info_of(site, solution),
                 fallback=name,
                 fallback_reason=f"{_with_failures(reason, failed)}; {words}",
             )
