@@ -23,7 +23,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.control.guard.balance import Commanded, LoadAndPVReadings, mismatch_kw
+from vppres.control.guard.balance import StepBefore, mismatch_kw
 from vppres.control.guard.check import Tolerances, violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
@@ -714,14 +714,15 @@ def test_batteries_of_a_feeder_that_is_off_are_not_silent(tiny: Scenario) -> Non
     assert not estimator.known(replace(idle, operating_point=on)).online.any()
 
 
-def unexplained_kw(day: Scenario) -> float | None:
+def unexplained_kw(day: Scenario) -> float:
     """Import of the first step beyond what its readings explain."""
     options = replace(OPTIONS, isolate=False)
     decider, run = make_controller(day, options), Day(day, options)
     done = decider.decide(run.observe(decider, 0))
     run.settle(0, done)
-    readings = LoadAndPVReadings(day.load_kw[0], day.pv_kw[0])
-    return mismatch_kw(Site.of(day), Commanded.of(done), run.observe(decider, 1), readings)
+    site = Site.of(day)
+    read = replace(StepBefore.nothing(site), load_kw=day.load_kw[0], pv_kw=day.pv_kw[0])
+    return mismatch_kw(site, read.decided(done), run.observe(decider, 1))
 
 
 def test_readings_are_checked_with_what_a_set_gives() -> None:

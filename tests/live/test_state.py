@@ -221,7 +221,7 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("change", "text"), [
-    ({"version": 99}, "state, version = 99: has another layout than this version's, 7. Go on"),
+    ({"version": 99}, "state, version = 99: has another layout than this version's, 8. Go on"),
     ({"kind": "a poem"}, "state: is not the state of a controller."),
     ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
     (None, "state: is not the state of a controller."),
@@ -246,6 +246,31 @@ def test_a_state_of_another_site_or_controller_is_refused(tiny: Scenario) -> Non
     assert Controller.of(tiny, replace(options, horizon_h=2.0), state=state).state() == state
 
 
+def as_in_version_7(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
+    """As an earlier version wrote it: the step before in five pieces, none before the first."""
+
+    def older(old: dict[str, Any]) -> dict[str, Any]:
+        if "before" not in old.get("series", ()):
+            return old
+        now = dict(old["series"]["before"])
+        began = now["t"] >= 0
+        share = None if set(now["share"]) == {1.0} else now["share"]
+        said = {name: now.pop(name) for name in ("served", "pv_curtailed_kw", "battery_kw")}
+        pair = {name: now.pop(name) for name in ("load_kw", "pv_kw")}
+        series = {
+            "_far": now.pop("far"),
+            "_frozen": {name: now.pop(f"frozen_{name}") for name in ("load", "pv")},
+            "_usual": {name: now.pop(name) for name in ("least_kw", "most_kw")},
+        }
+        expected = {name: now.pop(f"expected_{name}") for name in pair}
+        del now["share"]
+        before = {**now, "seen": pair, "expected": expected} if began else None
+        commanded = {**said, "share": share} if began else None
+        return {**old, "_commanded": commanded, "series": {"_before": before, **series}}
+
+    return signed({**everywhere(state, older), "version": 7})
+
+
 def as_in_version_6(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
     """As an earlier version wrote it, of a site without rules.
 
@@ -260,6 +285,7 @@ def as_in_version_6(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
         online = {"online": None} if "online" in old else {}
         return {**old, "owed": owed, "switching": old["switching"] if limited else None, **online}
 
+    state = as_in_version_7(state, day)
     for moment in filter(None, (state["now"], state["before"])):
         after_their_step(moment["past"]["kinds"], day)
     return signed({**everywhere(state, older), "version": 6})
@@ -326,7 +352,29 @@ def as_in_version_3(state: dict[str, Any], day: Scenario) -> dict[str, Any]:
     return signed(old)
 
 
-@pytest.mark.parametrize("earlier", [as_in_version_3, as_in_version_4, as_in_version_6])
+EARLIER = [as_in_version_3, as_in_version_4, as_in_version_6, as_in_version_7]
+
+
+def test_the_step_before_is_put_together_of_its_five_pieces(tiny: Scenario) -> None:
+    """Also before the first step, and with a customer that was dimmed."""
+    options = RunOptions("reserve", isolate=False)
+    controller = Controller.of(tiny, options)
+    judge = controller._decider._estimator.series  # type: ignore[attr-defined]
+    some, rng = judge.before, np.random.default_rng(8)
+    values = {
+        name: rng.random(len(each)) < 0.5 if each.dtype == bool else rng.random(len(each))
+        for name, each in vars(some).items()
+        if isinstance(each, np.ndarray)
+    }
+    values["share"] = np.where(values["served"], values["share"], 1.0)
+    for before in (some, replace(some, t=4, most_import_kw=0.5, **values)):
+        judge.before = before
+        state = json.loads(json.dumps(controller.state()))
+        old = as_in_version_7(state, tiny)
+        assert Controller.of(tiny, options, state=old).state() == state
+
+
+@pytest.mark.parametrize("earlier", EARLIER)
 def test_a_state_of_a_version_before_is_gone_on_from(
     earlier: Callable[[Any, Scenario], Any],
 ) -> None:

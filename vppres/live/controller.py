@@ -385,17 +385,9 @@ class Controller:
             row, within = row_of(self.scenario.grid, observation)
             start = self._start(row, within, latest)
             self._recall(start[0])
-            present = Present.of(
-                observation,
-                self.scenario,
-                row + self._forgotten,
-                self._window(row),
-                self._ahead(row),
-                start[1],
-                self.options,
-                self._past_days,
-                max(self._past.t - self._forgotten, 0),
-            )
+            at = Standing(self.scenario, self._forgotten, start[1])
+            rows = self._window(row), self._ahead(row)
+            present = Present.of(observation, at, *rows, self.options, self._past_days)
             decision, points, past = self._decision_and_state(present)
         except BaseException as error:  # Ctrl-C too
             self._recall(latest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.observation import Told
-from vppres.core.arrays import Flags, Names
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.kinds.live_fields import ReadOfKinds
 from vppres.kinds.table import parts
@@ -229,19 +229,59 @@ def read_kinds(
     return scenario, kinds
 
 
-def read_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, Any]:
-    """Readings of the batteries; a missing efficiency is the nominal one, no estimate is better."""
+def read_series(
+    door: Door, scenario: Scenario, measured: Measurement, connected: Flags
+) -> Scenario:
+    """The scenario with series as read and foretold, NaN where a reading of now is missing.
+
+    Customers that are not ``connected`` take nothing.
+    """
+    load_kw = door.table("load_kw", measured.load_kw, scenario.customers.id, scenario.load_kw)
+    pv_kw = door.table("pv_kw", measured.pv_kw, scenario.pv.id, scenario.pv_kw)
+    own = {
+        "price_gbp_per_kwh": scenario.price_gbp_per_kwh,
+        "grid_limit_kw": scenario.grid_limit_kw,
+        "export_limit_kw": np.broadcast_to(scenario.export_limit_kw, scenario.grid.n_steps),
+        "export_price_gbp_per_kwh": scenario.export_price,
+    }
+    read: dict[str, Any] = {
+        "load_kw": np.where(connected, load_kw, 0.0),
+        "pv_kw": np.clip(pv_kw, 0.0, scenario.pv.p_max_kw),
+        **{name: door.series(name, getattr(measured, name), each) for name, each in own.items()},
+    }
+    return replace(scenario, **read)
+
+
+def read_devices(
+    door: Door, scenario: Scenario, measured: Measurement, now: pd.Timestamp
+) -> dict[str, Any]:
+    """Readings of a moment, by field of the observation, NaN where one is missing.
+
+    A missing efficiency is the nominal one, no estimate is better.
+    """
+    b = scenario.batteries
     unknown = np.full(len(b), np.nan)
     soc = door.values("soc", measured.soc, b.id, unknown)
     eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
     eta_discharge = door.values("eta_discharge", measured.eta_discharge, b.id, b.eta_discharge)
     battery_kw = door.values("battery_kw", measured.battery_kw, b.id, unknown)
+    online = door.flags("online", measured.online, b.id)
+    import_kw = door.number("import_kw", measured.import_kw)
+    dimmable = door.flags("dimmable", measured.dimmable, scenario.customers.id)
+    if not door.estimates:
+        check_complete(door, b, measured, soc, online)
+        soc = np.clip(soc, b.soc_min, b.soc_max)
     return {
         "soc": soc,
         "eta_charge": np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
         "eta_discharge": np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
         "battery_kw": None if measured.battery_kw is None else battery_kw,
-        "online": door.flags("online", measured.online, b.id),
+        "online": online,
+        "import_kw": import_kw,
+        "whole": None if dimmable.all() else ~dimmable,
+        "elapsed_h": (now - door.begun) / HOUR,
+        "soc_age_h": door.ages_h("soc_at", measured.soc_at, b.id, now),
+        "told": read_overrides(door, measured.ordered_kw, b.id, now),
     }
 
 
@@ -252,24 +292,10 @@ def read_switches(door: Door, read: Any, ids: Names) -> dict[str, bool]:
     return {str(name): bool(one) for name, one in zip(ids, closed, strict=True) if name in given}
 
 
-def read_grid(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
-    """Prices and limits of the grid as measured, (T,) each; the scenario's where not given."""
-    price = scenario.price_gbp_per_kwh
-    limit = scenario.grid_limit_kw
-    export_limit = np.broadcast_to(scenario.export_limit_kw, limit.shape)
-    own = {
-        "price_gbp_per_kwh": (measured.price_gbp_per_kwh, price),
-        "grid_limit_kw": (measured.grid_limit_kw, limit),
-        "export_limit_kw": (measured.export_limit_kw, export_limit),
-        "export_price_gbp_per_kwh": (measured.export_price_gbp_per_kwh, scenario.export_price),
-    }
-    return {name: door.series(name, given, known) for name, (given, known) in own.items()}
-
-
-def is_named(ids: Names, names: Sequence[str]) -> Flags:
-    """Whether each identifier is named."""
-    chosen = set(names)
-    return np.array([str(name) in chosen for name in ids], dtype=bool)
+def is_foretold(measured: Measurement, field: str, ids: Names) -> Flags:
+    """Items whose series another provider foretold."""
+    names = set((measured.foretold or {}).get(field, ()))
+    return np.array([str(name) in names for name in ids], dtype=bool)
 
 
 def read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
@@ -285,27 +311,26 @@ def read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -
     return tuple(sorted(found, key=lambda one: -one.before_h))
 
 
-def check_order(door: Door, measured: Measurement, earliest: int) -> None:
-    """Time does not go back: what happened since cannot be undone."""
-    if 0 <= door.t < earliest:
+def check_order(door: Door, measured: Measurement, last: int) -> None:
+    """Time does not go back behind the step that was decided last: that cannot be undone."""
+    if 0 <= door.t < last:
         door.problem(
             "time",
-            f"lies before the step that was decided last, {door.grid.times[earliest].isoformat()}",
+            f"lies before the step that was decided last, {door.grid.times[last].isoformat()}",
             "Decide steps in their order; to begin again, make another Controller.",
             measured.time,
         )
 
 
 def check_complete(
-    door: Door, scenario: Scenario, measured: Measurement, of_batteries: Mapping[str, Any]
+    door: Door, b: Batteries, measured: Measurement, soc: Floats, online: Flags
 ) -> None:
     """Report readings that are missing and without which only a guard can do."""
-    b = scenario.batteries
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
-    for i in np.flatnonzero(np.isnan(of_batteries["soc"])):
+    for i in np.flatnonzero(np.isnan(soc)):
         if b.id[i] not in given:
             cure = "Give the state of charge of every battery."
             door.problem("soc", "is missing", cure, of=b.id[i])
-    for i in np.flatnonzero(~of_batteries["online"]):
+    for i in np.flatnonzero(~online):
         message = "needs a guard, which plans without the battery"
         door.problem("online", message, "Leave RunOptions.guard as it is.", False, b.id[i])

@@ -61,13 +61,6 @@ class Past:
         step = load_kw[np.newaxis], pv_kw[np.newaxis]
         return self.history and self.history.followed_by(start, *step).last_days(REMEMBERED_DAYS)
 
-    def owed_at(self, t: int) -> Owed:
-        """Demand that may still be caught up at a step; in steps between nothing was."""
-        owed = self.owed
-        for _ in range(self.t + 1, t):
-            owed = owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
-        return owed
-
     def within_step(self, latest: Past) -> Past:
         """State for a step that is decided anew within it: what was ordered in it has happened.
 
@@ -75,13 +68,22 @@ class Past:
         """
         return replace(self, kinds=latest.kinds)
 
-    def switching_at(self, t: int) -> SwitchingState:
-        """Switching state at a step, set-points held over those in between."""
-        switching = self.switching
-        if self.served is not None:
-            for _ in range(self.t + 1, t):
+    def known_at(self, t: int) -> dict[str, Any]:
+        """Fields of the observation of a step, set-points held over the steps in between.
+
+        In these nothing was caught up.
+        """
+        switching, owed = self.switching, self.owed
+        for _ in range(self.t + 1, t):
+            owed = owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
+            if self.served is not None:
                 switching = switching.advance(self.served)
-        return switching
+        return {
+            "switching": switching,
+            "owed": owed,
+            "operating_point": self.operating_point,
+            "served": self.served,
+        }
 
     def as_plain(self, given: Given) -> dict[str, Any]:
         """State as JSON can hold it, but for the history, which a state holds once."""

@@ -20,22 +20,21 @@ from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.table import TABLES, parts, units_of
-from vppres.live.door import HOUR, Door
+from vppres.live.door import Door
 from vppres.live.measurement import (
     Measurement,
-    check_complete,
     check_order,
-    is_named,
+    is_foretold,
     moment_at,
-    read_batteries,
-    read_grid,
+    read_devices,
     read_kinds,
-    read_overrides,
+    read_series,
     read_switches,
     reading,
 )
 from vppres.live.past import Past
 from vppres.live.ranges import ranges_of
+from vppres.live.state import Standing
 from vppres.plant.plant import BatteryState
 from vppres.scenario.configuration import Branches, out_of_branches
 from vppres.scenario.scenario import Scenario
@@ -86,104 +85,68 @@ class Present:
     def of(
         cls,
         measured: Measurement,
-        site: Scenario,
-        t: int,
+        at: Standing,
         window: range,
         ahead: range,
-        past: Past,
         options: RunOptions,
         past_days: dict[str, Any],
-        earliest: int,
     ) -> Present:
-        """The step of a measurement, which is laid over all that is known of the ``site``.
+        """The step of a measurement, which is laid over all that is known of the site.
 
-        ``t`` counts from the controller's first step. Rows of the ``window`` are forecast, the
-        decision may rest on those ``ahead`` in any way. Nothing of what is measured is trusted: a
-        guard estimates what is missing, otherwise it is refused. ``earliest`` is the first row
-        that can still be decided.
+        Rows of the ``window`` are forecast, the decision may rest on those ``ahead`` in any way.
+        Nothing of what is measured is trusted: a guard estimates what is missing, otherwise it is
+        refused.
 
         Raises
         ------
         InputError
-            With every value that does not fit the scenario, in the order of the readings.
+            With every value that does not fit the scenario.
         """
-        c, pv, b = site.customers, site.pv, site.batteries
-        row = window.start
+        site, past, row = at.known, at.past, window.start
+        t = row + at.forgotten
         with reading(measured):
             door = Door(site.grid, measured.time, options.guard, ranges=ranges_of(site))
-            check_order(door, measured, earliest)
-            load_kw = door.table("load_kw", measured.load_kw, c.id, site.load_kw)
-            pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, site.pv_kw)
-            of_grid = read_grid(door, site, measured)
-            of_batteries = read_batteries(door, b, measured)
-            import_kw = door.number("import_kw", measured.import_kw)
-            connected = door.flags("connected", measured.connected, c.id)
-            dimmable = door.flags("dimmable", measured.dimmable, c.id)
+            check_order(door, measured, past.t - at.forgotten)
+            moment = moment_at(door, measured)
+            connected = door.flags("connected", measured.connected, site.customers.id)
+            read = read_series(door, site, measured, connected)
+            seen = read_devices(door, site, measured, moment)
             switches = read_switches(door, measured.closed, site.switches.id)
             unknown = np.full(site.grid.n_steps, np.nan)
             announced_kw = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
-            moment = moment_at(door, measured)
-            elapsed_h = (moment - door.begun) / HOUR
-            soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, moment)
-            told = read_overrides(door, measured.ordered_kw, b.id, moment)
-            if not options.guard:
-                check_complete(door, site, measured, of_batteries)
-            others = measured.foretold or {}
-            foretold = (
-                is_named(c.id, others.get("load_kw", ())),
-                is_named(pv.id, others.get("pv_kw", ())),
-            )
-            laid, of_kinds = read_kinds(door, site, measured, moment, past.kinds)
+            load = is_foretold(measured, "load_kw", site.customers.id)
+            pv = is_foretold(measured, "pv_kw", site.pv.id)
+            read, of_kinds = read_kinds(door, read, measured, moment, past.kinds)
             door.finish()
-        pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
-        laid = replace(
-            laid,
-            load_kw=np.where(np.isnan(load_kw), site.load_kw, load_kw) * connected,
-            pv_kw=np.where(np.isnan(pv_kw), site.pv_kw, pv_kw),
-            **of_grid,
-        )
-        beyond, now = (_to_come(laid, rows) for rows in (ahead, window))
+        now, beyond = (_to_come(_without_gaps(read, site), rows) for rows in (window, ahead))
         beyond = replace(beyond, history=past.history)
-        forecasts = GivenFirst(forecasts_of(beyond, options, ForecastErrors()), beyond, *foretold)
+        forecasts = GivenFirst(forecasts_of(beyond, options, ForecastErrors()), beyond, load, pv)
         forecast = forecasts.at(0, range(now.grid.n_steps))
-        served = np.ones(len(c), dtype=bool) if past.served is None else past.served
-        at = Moment(site, row, served, t * now.grid.dt_h + elapsed_h, now)
+        forecast = replace(  # it begins with what was measured; who is cut off takes nothing
+            forecast,
+            load_kw=np.where(connected, _first_row(forecast.load_kw, read.load_kw[row]), 0.0),
+            pv_kw=_first_row(forecast.pv_kw, read.pv_kw[row]),
+        )
+        served = np.ones(len(connected), dtype=bool) if past.served is None else past.served
+        begins = Moment(site, row, served, t * now.grid.dt_h + seen["elapsed_h"], now)
         live = parts("live")
         kinds = {
-            kind: live[kind].now(at, of_kinds[kind], past.kinds.get(kind)) for kind in units_of(now)
+            kind: live[kind].now(begins, of_kinds[kind], past.kinds.get(kind))
+            for kind in units_of(now)
         }
-        branches = Branches.of(now)
-        out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
-        read = switches if now.follows_switches else {}
-        closed, left_open = branches.with_states(read, past.closed, out)
-        if not options.guard:
-            of_batteries["soc"] = np.clip(of_batteries["soc"], b.soc_min, b.soc_max)
+        closed, left_open = _configuration(now, switches, past.closed)
         known = Observation(
             t,
-            replace(  # it begins with what was measured; who is cut off takes nothing
-                forecast,
-                load_kw=_first_row(
-                    forecast.load_kw * connected, np.where(connected, load_kw[row], 0.0)
-                ),
-                pv_kw=_first_row(forecast.pv_kw, pv_kw[row]),
-            ),
-            switching=past.switching_at(t),
-            owed=past.owed_at(t),
-            **of_batteries,
-            operating_point=past.operating_point,
-            import_kw=import_kw,
-            served=past.served,
+            forecast,
+            **seen,
+            **past.known_at(t),
             ahead=_kinds_ahead(now, kinds, past_days),
-            terminal=Terminal.of(options.soc_end, forecast, ends=window.stop == site.grid.n_steps),
-            elapsed_h=elapsed_h,
-            soc_age_h=soc_age_h,
-            told=told,
-            profile_kw=site.load_kw[row] * connected,
-            profile_pv_kw=site.pv_kw[row],
             flexible_kw=None if past.t < 0 else sum((k.taken_kw for k in kinds.values()), 0.0),
             flexible_off_kw=sum((k.taken_off_kw for k in kinds.values()), 0.0),
+            terminal=Terminal.of(options.soc_end, forecast, ends=window.stop == site.grid.n_steps),
+            profile_kw=site.load_kw[row] * connected,
+            profile_pv_kw=site.pv_kw[row],
             closed=closed,
-            whole=None if dimmable.all() else ~dimmable,
         )
         words = (word for units in kinds.values() for word in units.estimated)
         return cls(
@@ -191,7 +154,7 @@ class Present:
             scenario=now,
             ahead=beyond,
             forecasts=forecasts,
-            beside=Beside(site.price_gbp_per_kwh[:row], announced_kw[ahead.start : ahead.stop]),
+            beside=Beside(site.price_gbp_per_kwh[:row], announced_kw[row:]),
             past=past,
             kinds=kinds,
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
@@ -261,6 +224,15 @@ class Present:
         )
 
 
+def _configuration(
+    now: Scenario, read: dict[str, bool], before: Flags
+) -> tuple[Flags, tuple[str, ...]]:
+    """Lines and ties that are closed without a loop, (E,), and switches left open, in words."""
+    branches = Branches.of(now)
+    out = out_of_branches(now.out_of_service(range(1)), branches.ends)[0]
+    return branches.with_states(read if now.follows_switches else {}, before, out)
+
+
 def _states(kinds: dict[str, UnitsNow]) -> dict[str, Any]:
     """State of each kind at the beginning of the step."""
     return {kind: now.state for kind, now in kinds.items()}
@@ -272,6 +244,15 @@ def _kinds_ahead(
     """The window of each kind, without units that are out."""
     found = KindsAhead.of(day, range(day.grid.n_steps), _states(kinds), past_days)
     return KindsAhead({kind: kinds[kind].able(of) for kind, of in found.by_kind.items()})
+
+
+def _without_gaps(read: Scenario, site: Scenario) -> Scenario:
+    """The site as it was read, with its own series where a reading is missing."""
+    return replace(
+        read,
+        load_kw=np.where(np.isnan(read.load_kw), site.load_kw, read.load_kw),
+        pv_kw=np.where(np.isnan(read.pv_kw), site.pv_kw, read.pv_kw),
+    )
 
 
 def _to_come(scenario: Scenario, rows: range) -> Scenario:

@@ -19,6 +19,7 @@ import pandas as pd
 
 from vppres.contract.decision import Decider
 from vppres.control.configurations import InConfiguration
+from vppres.control.guard.balance import StepBefore
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
@@ -37,7 +38,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 7
+VERSION = 8
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
@@ -146,6 +147,8 @@ def _restored(
     if version < 7:
         state = _without_moments(state, scenario.grid.dt_h)
         state = _with_empty_tables(state, start, given_by(scenario, options))
+    if version < 8:
+        state = _with_step_before(state, Site.of(scenario))
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -187,7 +190,7 @@ def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
-    if state.get("version") not in (3, 4, 5, 6, VERSION):
+    if state.get("version") not in (3, 4, 5, 6, 7, VERSION):
         raise _refused(
             f"has another layout than this version's, {VERSION}",
             "Go on with the version that wrote it, or begin without a state.",
@@ -302,6 +305,28 @@ def _with_empty_tables(state: dict[str, Any], start: Past, given: Given) -> dict
         return found
 
     return _with_moments(state, partial(_everywhere, changed=filled))
+
+
+def _with_step_before(state: dict[str, Any], site: Site) -> dict[str, Any]:
+    """A state of version 7 or before, whose guard remembered the step before in five pieces."""
+    nothing = to_plain(StepBefore.nothing(site))
+
+    def joined(found: dict[str, Any]) -> dict[str, Any]:
+        if "_commanded" not in found:  # no estimator
+            return found
+        series, said = found["series"], found.pop("_commanded") or {}
+        before = series["_before"] or {}
+        if said.get("share"):
+            pairs = zip(said["served"], said["share"], strict=True)
+            said["share"] = [share if on else 1.0 for on, share in pairs]
+        expected, frozen = before.pop("expected", {}), series["_frozen"]
+        renamed = {f"expected_{name}": kw for name, kw in expected.items()}
+        renamed |= {f"frozen_{name}": flags for name, flags in frozen.items()}
+        pieces = before | before.pop("seen", {}) | series["_usual"] | said | renamed
+        known = {name: each for name, each in pieces.items() if each is not None}
+        return found | {"series": {"before": nothing | known | {"far": series["_far"]}}}
+
+    return _with_moments(state, partial(_everywhere, changed=joined))
 
 
 def _everywhere(value: Any, changed: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:

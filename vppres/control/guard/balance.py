@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,33 +22,72 @@ Meters of class 1 are off by at most that share each.
 
 
 @dataclass(frozen=True, eq=False)
-class Commanded:
-    """Decision for a step: customers (C,), PV systems (P,), batteries (B,)."""
+class StepBefore:
+    """Readings, expectation and decision of a step, to judge the readings of the next one by."""
 
-    served: Flags
-    pv_curtailed_kw: Floats
-    battery_kw: Floats
-    share: Floats | None = None
-
-    @classmethod
-    def of(cls, decision: Decision) -> Commanded:
-        """The step's row of a decision."""
-        plan = decision.dispatch
-        row = decision.row
-        return cls(
-            np.asarray(plan.served[row], dtype=bool),
-            plan.pv_curtailed_kw[row],
-            plan.charge_kw[row] - plan.discharge_kw[row],
-            None if plan.share is None else plan.share[row],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class LoadAndPVReadings:
-    """Demand (C,) and PV power (P,) of one step in kW."""
-
+    t: int
+    #: Demand and PV power that count, in kW, (C,) and (P,), and demand as it was read.
     load_kw: Floats
     pv_kw: Floats
+    read_kw: Floats
+    #: What had been forecast, and the demand that stands in where a reading is doubted.
+    expected_load_kw: Floats
+    expected_pv_kw: Floats
+    usual_kw: Floats
+    #: Readings far from all that was expected, contradicted by the import, and standing still.
+    far: Flags
+    doubted: Flags
+    frozen_load: Flags
+    frozen_pv: Flags
+    proven_kw: Floats  #: the most of each demand that an import has agreed with
+    #: The least and the most demand that was far and has been shown to be right, (C,).
+    least_kw: Floats
+    most_kw: Floats
+    most_import_kw: float  #: an import beyond it says nothing of the step
+    served: Flags
+    share: Floats  #: part of the demand of those served that they were to get, (C,)
+    pv_curtailed_kw: Floats
+    battery_kw: Floats
+
+    @classmethod
+    def nothing(cls, site: Site) -> StepBefore:
+        """Before the first step."""
+        c, pv = len(site.customers), len(site.pv)
+        unknown_kw, unknown_pv_kw = np.full(c, np.nan), np.full(pv, np.nan)
+        nobody = np.zeros(c, dtype=bool)
+        return cls(
+            t=-2,  # no step follows it
+            load_kw=unknown_kw,
+            pv_kw=unknown_pv_kw,
+            read_kw=unknown_kw,
+            expected_load_kw=unknown_kw,
+            expected_pv_kw=unknown_pv_kw,
+            usual_kw=unknown_kw,
+            far=nobody,
+            doubted=nobody,
+            frozen_load=nobody,
+            frozen_pv=np.zeros(pv, dtype=bool),
+            proven_kw=np.zeros(c),
+            least_kw=np.full(c, np.inf),
+            most_kw=np.zeros(c),
+            most_import_kw=np.inf,
+            served=nobody,
+            share=np.ones(c),
+            pv_curtailed_kw=unknown_pv_kw,
+            battery_kw=np.full(len(site.batteries), np.nan),
+        )
+
+    def decided(self, decision: Decision) -> StepBefore:
+        """The step with what was decided for it."""
+        plan, row = decision.dispatch, decision.row
+        on = np.asarray(plan.served[row], dtype=bool)
+        return replace(
+            self,
+            served=on,
+            share=np.where(on, plan.supplied[row], 1.0),
+            pv_curtailed_kw=plan.pv_curtailed_kw[row],
+            battery_kw=plan.charge_kw[row] - plan.discharge_kw[row],
+        )
 
 
 def tolerance_kw(demand_kw: float) -> float:
@@ -62,49 +101,38 @@ def feeder_off(seen: Observation) -> bool:
     return point is None or not np.any(point.p_injection_kw)
 
 
-def mismatch_kw(
-    site: Site, commanded: Commanded, seen: Observation, readings: LoadAndPVReadings
-) -> float | None:
-    """Import of the step before beyond what readings of that step explain.
+def mismatch_kw(site: Site, before: StepBefore, seen: Observation) -> float:
+    """Import in kW of the step before beyond what its readings explain.
 
-    ``commanded`` was decided for that step, and ``seen`` is the observation after it.
-
-    Returns
-    -------
-    float or None
-        In kW; None where something was not measured, where nothing flowed, or where restored
-        customers take more than their reading says.
+    ``seen`` is the observation after it. NaN where something was not measured, where nothing
+    flowed, or where restored customers take more than their reading says.
     """
     cold = seen.switching.rules.cold
     if seen.import_kw is None or seen.battery_kw is None or feeder_off(seen) or cold:
-        return None
-    demand = readings.load_kw * served(commanded, seen)
-    curtailed = curtailed_kw(site, commanded.pv_curtailed_kw, readings.pv_kw, demand)
+        return np.nan
+    demand = before.load_kw * served(before, seen)
+    curtailed = curtailed_kw(site, before.pv_curtailed_kw, before.pv_kw, demand)
     taken = float(demand.sum() + seen.battery_kw.sum())
     if site.kinds:
         if seen.flexible_kw is None:
-            return None
+            return np.nan
         taken += seen.flexible_kw
-    given = float((readings.pv_kw - curtailed).sum())
+    given = float((before.pv_kw - curtailed).sum())
     assert seen.operating_point is not None  # otherwise the feeder was off
     found = seen.import_kw - (taken - given + _losses_kw(site, seen.operating_point))
-    return found if np.isfinite(found) else None
+    return found if np.isfinite(found) else np.nan
 
 
-def contradicts(
-    off_kw: float, commanded: Commanded, seen: Observation, readings: LoadAndPVReadings
-) -> bool:
+def contradicts(off_kw: float, before: StepBefore, seen: Observation) -> bool:
     """Whether a mismatch is more than meters are off by."""
-    served_kw = float(readings.load_kw @ served(commanded, seen))
+    served_kw = float(before.load_kw @ served(before, seen))
     return abs(off_kw) > tolerance_kw(served_kw) + seen.flexible_off_kw
 
 
-def served(commanded: Commanded, seen: Observation) -> Flags | Floats:
+def served(before: StepBefore, seen: Observation) -> Floats:
     """Part of the demand that each customer got, (C,)."""
-    on = commanded.served if seen.served is None else seen.served
-    if commanded.share is None:
-        return on
-    return on * np.where(commanded.served, commanded.share, 1.0)
+    on = before.served if seen.served is None else seen.served
+    return on * before.share
 
 
 def _losses_kw(site: Site, point: OperatingPoint) -> float:

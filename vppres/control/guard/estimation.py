@@ -15,7 +15,7 @@ import numpy as np
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
-from vppres.control.guard.balance import Commanded, LoadAndPVReadings, feeder_off
+from vppres.control.guard.balance import feeder_off
 from vppres.control.guard.moved import Moved
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
@@ -43,7 +43,6 @@ class Estimator:
         "_soc": SocReckoning,
         "_moved": Moved,
         "_last": Observation | None,
-        "_commanded": Commanded | None,
         "_out_until": Wholes,
     }
 
@@ -54,7 +53,6 @@ class Estimator:
         self._soc = SocReckoning.start(site)
         self._moved = Moved.nothing(len(site.batteries))
         self._last: Observation | None = None
-        self._commanded: Commanded | None = None
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
     def known(self, seen: Observation) -> Observation:
@@ -62,13 +60,13 @@ class Estimator:
         online = self._online(seen)
         self._estimate_soc(seen)
         online &= ~self._soc.unknown
-        now, series_words = self.series.judged(seen, *self._expected(seen), self._commanded)
+        load_kw, pv_kw, series_words = self.series.judged(seen, *self._expected(seen))
         forecast = seen.forecast
         if series_words:
             forecast = replace(
                 forecast,
-                load_kw=np.vstack([now.load_kw, forecast.load_kw[1:]]),
-                pv_kw=np.vstack([now.pv_kw, forecast.pv_kw[1:]]),
+                load_kw=np.vstack([load_kw, forecast.load_kw[1:]]),
+                pv_kw=np.vstack([pv_kw, forecast.pv_kw[1:]]),
             )
         out = self.site.batteries.id[~online]
         words = [*self._soc_words(), *series_words, *map(OUT.format, out)]
@@ -105,18 +103,14 @@ class Estimator:
 
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
-        self._commanded = Commanded.of(decision)
-        self._note_override(self._soc.at_h, self._commanded.battery_kw)
+        self.series.before = self.series.before.decided(decision)
+        self._note_override(self._soc.at_h, self.series.before.battery_kw)
 
     def _online(self, seen: Observation) -> Flags:
         """Batteries that report to be there and followed their set-points."""
-        if (
-            seen.battery_kw is not None
-            and self._commanded is not None
-            and self._should_have_followed(seen)
-        ):
+        if seen.battery_kw is not None and self._should_have_followed(seen):
             rating = self.site.batteries.p_max_kw
-            told_kw = seen.told[-1].battery_kw if seen.told else self._commanded.battery_kw
+            told_kw = seen.told[-1].battery_kw if seen.told else self.series.before.battery_kw
             silent = (np.abs(told_kw) > RESPONSE_SHARE * rating) & (
                 np.abs(seen.battery_kw) < SILENT_SHARE * rating
             )
@@ -170,22 +164,19 @@ class Estimator:
             words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
         return words
 
-    def _expected(self, seen: Observation) -> tuple[LoadAndPVReadings, bool]:
-        """Readings expected by a forecast or the profile, and whether any was; else the last."""
+    def _expected(self, seen: Observation) -> tuple[Floats, Floats, bool]:
+        """Demand and PV power that a forecast or the profile expects, and True; else the last."""
         if self._last is None:
             ahead = seen.forecast
             if seen.profile_kw is not None and seen.profile_pv_kw is not None:
-                return LoadAndPVReadings(seen.profile_kw, seen.profile_pv_kw), True
+                return seen.profile_kw, seen.profile_pv_kw, True
             if len(ahead.load_kw) > 1:
-                return LoadAndPVReadings(ahead.load_kw[1], ahead.pv_kw[1]), True
-            none = LoadAndPVReadings(
-                np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv))
-            )
-            return none, False
+                return ahead.load_kw[1], ahead.pv_kw[1], True
+            return np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)), False
         before = self._last.forecast
         steps = seen.t0 - self._last.t0
         row = steps if steps < len(before.load_kw) else 0
-        return LoadAndPVReadings(before.load_kw[row], before.pv_kw[row]), row > 0
+        return before.load_kw[row], before.pv_kw[row], row > 0
 
 
 def _remembered(seen: Observation) -> Observation:

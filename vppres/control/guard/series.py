@@ -12,15 +12,14 @@ all of them, and what was expected stands in until the import agrees with the me
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import (
-    Commanded,
-    LoadAndPVReadings,
+    StepBefore,
     contradicts,
     mismatch_kw,
     served,
@@ -39,265 +38,194 @@ EXPLAINED = 0.5
 """Without the meters that are wrong less than this share of a mismatch is left."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Frozen:
-    """Which readings are frozen: demand (C,) and PV power (P,)."""
-
-    load: Flags
-    pv: Flags
-
-    @property
-    def any(self) -> bool:
-        return bool(self.load.any() or self.pv.any())
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A step: readings that are usable, what had been forecast, and demand as it was read.
-
-    An import beyond ``most_import_kw`` says nothing of it. ``usual_kw`` is what stands in where a
-    demand is ``doubted``, ``proven_kw`` the most of each that an import has agreed with.
-    """
-
-    t: int
-    seen: LoadAndPVReadings
-    expected: LoadAndPVReadings
-    read_kw: Floats
-    most_import_kw: float = np.inf
-    usual_kw: Floats | None = None
-    doubted: Flags | None = None
-    proven_kw: Floats | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Usual:
-    """The least and the most demand that a step has shown to be right, (C,)."""
-
-    least_kw: Floats
-    most_kw: Floats
-
-
 class SeriesJudge:
     """Tells which readings of demand and PV power stand still although the plant says otherwise."""
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {
-        "_before": _Step | None,
-        "_frozen": _Frozen,
-        "_far": Flags,
-        "_usual": _Usual,
-    }
+    REMEMBERED: ClassVar[dict[str, Any]] = {"before": StepBefore}
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self._before: _Step | None = None
-        self._frozen = _Frozen(
-            np.zeros(len(site.customers), dtype=bool), np.zeros(len(site.pv), dtype=bool)
-        )
-        self._far = np.zeros(len(site.customers), dtype=bool)
-        self._usual = _Usual(np.full(len(site.customers), np.inf), np.zeros(len(site.customers)))
+        self.before = StepBefore.nothing(site)
         self._carried_kw = _carried_kw(site)
 
     def judged(
-        self,
-        seen: Observation,
-        expected: LoadAndPVReadings,
-        foretold: bool,
-        commanded: Commanded | None,
-    ) -> tuple[LoadAndPVReadings, list[str]]:
-        """Readings of the step with estimates where they must be, and what was estimated.
+        self, seen: Observation, expected_load_kw: Floats, expected_pv_kw: Floats, foretold: bool
+    ) -> tuple[Floats, Floats, list[str]]:
+        """Demand and PV power with estimates where they must be, and what was estimated.
 
-        ``expected`` is what was known of this step before it: ``foretold``, or the reading of a
-        step before.
+        What was expected of this step before it is ``foretold``, or the reading of a step before.
         """
-        read_kw = seen.forecast.load_kw[0]
-        doubted, proven_kw = self._by_import(seen, commanded)
-        self._accept_confirmed(seen, commanded)
+        names = self.site.customers.id
+        read_kw, pv_kw = seen.forecast.load_kw[0], seen.forecast.pv_kw[0]
+        doubted, proven_kw = self._by_import(seen)
+        least_kw, most_kw = self._confirmed(seen)
         profiled = foretold or seen.profile_kw is not None
-        far = self._far_now(read_kw, seen, expected) & profiled
-        beyond = read_kw > self._carried_kw
-        self._far = far = far | (beyond & (expected.load_kw < self._carried_kw))
-        usual_kw = expected.load_kw
+        far = _far_now(seen, expected_load_kw, least_kw, most_kw) & profiled
+        far |= (read_kw > self._carried_kw) & (expected_load_kw < self._carried_kw)
+        usual_kw = expected_load_kw
         if not foretold and seen.profile_kw is not None:
             usual_kw = seen.profile_kw
         if not profiled:  # a reading before is no evidence against the next one
             proven_kw = np.full_like(usual_kw, np.inf)
         doubted &= _implausible(read_kw, usual_kw) & ~far
-        usable_kw = np.where(far, expected.load_kw, np.where(doubted, usual_kw, read_kw))
-        usable = LoadAndPVReadings(usable_kw, seen.forecast.pv_kw[0])
-        most_kw = _most_import_kw(seen, expected, usable)
-        now = _Step(seen.t0, usable, expected, read_kw, most_kw, usual_kw, doubted, proven_kw)
-        frozen = self._frozen_now(now, seen, commanded)
-        kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
-        self._frozen = frozen
-        self._before = now
-        load, load_words = _estimated(
-            "load", self.site.customers.id, now.seen.load_kw, expected.load_kw, frozen.load, kept
+        load_kw = np.where(far, expected_load_kw, np.where(doubted, usual_kw, read_kw))
+        frozen_load, frozen_pv = self._frozen_now(seen, load_kw, pv_kw)
+        frozen = bool(frozen_load.any() or frozen_pv.any())
+        kept = frozen and not self._forecast_was_nearer(seen, frozen_load, frozen_pv)
+        self.before = replace(
+            self.before,
+            t=seen.t0,
+            load_kw=load_kw,
+            pv_kw=pv_kw,
+            read_kw=read_kw,
+            expected_load_kw=expected_load_kw,
+            expected_pv_kw=expected_pv_kw,
+            usual_kw=usual_kw,
+            far=far,
+            doubted=doubted,
+            frozen_load=frozen_load,
+            frozen_pv=frozen_pv,
+            proven_kw=proven_kw,
+            least_kw=least_kw,
+            most_kw=most_kw,
+            most_import_kw=_most_import_kw(seen, expected_load_kw, load_kw),
         )
-        pv, pv_words = _estimated(
-            "pv", self.site.pv.id, now.seen.pv_kw, expected.pv_kw, frozen.pv, kept
-        )
+        load, load_words = _estimated("load", names, load_kw, expected_load_kw, frozen_load, kept)
+        pv, pv_words = _estimated("pv", self.site.pv.id, pv_kw, expected_pv_kw, frozen_pv, kept)
         far_words = [
-            f"load {self.site.customers.id[i]} {load[i]:.2f} kW ({read_kw[i]:g} is far from it)"
+            f"load {names[i]} {load[i]:.2f} kW ({read_kw[i]:g} is far from it)"
             for i in np.flatnonzero(far)
         ]
         odd_words = [
-            f"load {self.site.customers.id[i]} {load[i]:.2f} kW (the import contradicts "
-            f"{read_kw[i]:g})"
+            f"load {names[i]} {load[i]:.2f} kW (the import contradicts {read_kw[i]:g})"
             for i in np.flatnonzero(doubted)
         ]
-        return LoadAndPVReadings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
+        return load, pv, [*load_words, *pv_words, *far_words, *odd_words]
 
     @property
     def unproven(self) -> Flags:
         """Demands of the step far above what was expected and what an import agreed with, (C,)."""
-        now = self._before
-        if now is None or now.usual_kw is None or now.proven_kw is None:
-            return np.zeros(len(self.site.customers), dtype=bool)
+        now = self.before
         most_kw = np.maximum(now.usual_kw, now.proven_kw)
-        return np.asarray((now.seen.load_kw > ODD * most_kw) & (now.usual_kw > 0.0))
+        return np.asarray((now.load_kw > ODD * most_kw) & (now.usual_kw > 0.0))
 
     def proven(self) -> tuple[Floats, list[str]]:
         """Demand of the step without what is far above all that an import has agreed with, (C,).
 
         And what was replaced, in words. From then on it counts as doubted.
         """
-        now, unproven = self._before, self.unproven
-        if now is None or now.usual_kw is None or not unproven.any():
-            return np.empty(0), []
-        load_kw = now.seen.load_kw
-        kw = np.where(unproven, now.usual_kw, load_kw)
-        doubted = unproven if now.doubted is None else now.doubted | unproven
-        self._before = replace(now, seen=replace(now.seen, load_kw=kw), doubted=doubted)
+        now, unproven = self.before, self.unproven
+        kw = np.where(unproven, now.usual_kw, now.load_kw)
+        self.before = replace(now, load_kw=kw, doubted=now.doubted | unproven)
         return kw, [
-            f"load {self.site.customers.id[i]} {kw[i]:.2f} kW ({load_kw[i]:g} cannot be supplied, "
-            "and no import has shown it)"
+            f"load {self.site.customers.id[i]} {kw[i]:.2f} kW ({now.load_kw[i]:g} cannot be "
+            "supplied, and no import has shown it)"
             for i in np.flatnonzero(unproven)
         ]
 
-    def _far_now(self, read_kw: Floats, seen: Observation, expected: LoadAndPVReadings) -> Flags:
-        """Demand far from its forecasts, and from all that a step has shown to be right.
-
-        By more than meters are off by; where no demand was expected nothing is far.
-        """
-        profile_kw = expected.load_kw if seen.profile_kw is None else seen.profile_kw
-        ahead = np.vstack([expected.load_kw, profile_kw, seen.forecast.load_kw[1:]])
-        most_kw = np.maximum(ahead.max(axis=0), self._usual.most_kw)
-        least_kw = np.minimum(ahead.min(axis=0), self._usual.least_kw)
-        far = (read_kw > FAR * most_kw) | (read_kw < least_kw / FAR)
-        off_kw = np.abs(read_kw - expected.load_kw)
-        matters = off_kw > tolerance_kw(float(expected.load_kw.sum()))
-        return np.asarray(far & matters & (expected.load_kw > 0.0))
-
-    def _accept_confirmed(self, seen: Observation, commanded: Commanded | None) -> None:
-        """Take up what was far if the import of its step says that it was right."""
-        before = self._before
-        if before is None or not self._far.any():
-            return
-        used = self._import_mismatch_kw(seen, commanded, before.seen)
-        read = self._import_mismatch_kw(
-            seen, commanded, replace(before.seen, load_kw=before.read_kw)
+    def _confirmed(self, seen: Observation) -> tuple[Floats, Floats]:
+        """The least and the most demand that was far, and that the import of its step confirms."""
+        before = self.before
+        used_kw = self._import_mismatch_kw(seen, before)
+        read_kw = self._import_mismatch_kw(seen, replace(before, load_kw=before.read_kw))
+        if not abs(read_kw) < abs(used_kw):
+            return before.least_kw, before.most_kw
+        kw = np.where(before.read_kw > self._carried_kw, before.load_kw, before.read_kw)
+        return (
+            np.where(before.far, np.minimum(before.least_kw, kw), before.least_kw),
+            np.where(before.far, np.maximum(before.most_kw, kw), before.most_kw),
         )
-        if used is not None and read is not None and abs(read) < abs(used):
-            kw = np.where(before.read_kw > self._carried_kw, before.seen.load_kw, before.read_kw)
-            self._usual = _Usual(
-                np.where(self._far, np.minimum(self._usual.least_kw, kw), self._usual.least_kw),
-                np.where(self._far, np.maximum(self._usual.most_kw, kw), self._usual.most_kw),
-            )
 
-    def _by_import(self, seen: Observation, commanded: Commanded | None) -> tuple[Flags, Floats]:
+    def _by_import(self, seen: Observation) -> tuple[Flags, Floats]:
         """Meters that the import of the step before contradicts, and the most that it agreed with.
 
         Where that import is not known, or explained by no meter, the verdict before stands.
         """
-        before = self._before
-        nobody = np.zeros(len(self.site.customers), dtype=bool)
-        if before is None or before.usual_kw is None:
-            return nobody, np.zeros(len(nobody))
-        kept = nobody if before.doubted is None else before.doubted
-        proven_kw = np.zeros(len(nobody)) if before.proven_kw is None else before.proven_kw
-        given = self._readings_before(seen, commanded, before)
-        off_kw = None if given is None else self._import_mismatch_kw(seen, commanded, given)
-        if given is None or off_kw is None or commanded is None:
+        before = self._as_read(seen)
+        kept, proven_kw, usual_kw = before.doubted, before.proven_kw, before.usual_kw
+        off_kw = self._import_mismatch_kw(seen, before)
+        if np.isnan(off_kw):
             return kept, proven_kw
-        on = served(commanded, seen)
-        if not contradicts(off_kw, commanded, seen, given):
-            agreed_kw = np.where(on > 0.0, np.maximum(proven_kw, given.load_kw), proven_kw)
+        on = served(before, seen)
+        if not contradicts(off_kw, before, seen):
+            agreed_kw = np.where(on > 0.0, np.maximum(proven_kw, before.load_kw), proven_kw)
             return kept & (on == 0.0), agreed_kw
-        odd = _implausible(given.load_kw, before.usual_kw) & (on > 0.0)
+        odd = _implausible(before.load_kw, usual_kw) & (on > 0.0)
         if not odd.any():
             return kept, proven_kw
-        alone = np.abs(off_kw + on * (given.load_kw - before.usual_kw))
+        alone = np.abs(off_kw + on * (before.load_kw - usual_kw))
         worst = np.arange(len(odd)) == np.argmin(np.where(odd, alone, np.inf))
         found = kept
         least_kw = abs(off_kw)
         for tried in (worst, odd):
-            kw = np.where(tried, before.usual_kw, given.load_kw)
-            left_kw = self._import_mismatch_kw(seen, commanded, replace(given, load_kw=kw))
-            if left_kw is not None and abs(left_kw) < EXPLAINED * least_kw:
-                found, least_kw = tried | (kept & (on == 0.0)), abs(left_kw)
+            kw = np.where(tried, usual_kw, before.load_kw)
+            left_kw = abs(self._import_mismatch_kw(seen, replace(before, load_kw=kw)))
+            if left_kw < EXPLAINED * least_kw:
+                found, least_kw = tried | (kept & (on == 0.0)), left_kw
         return found, proven_kw
 
-    def _readings_before(
-        self, seen: Observation, commanded: Commanded | None, before: _Step
-    ) -> LoadAndPVReadings | None:
-        """Readings of the step before; far ones only if the import bears them out.
+    def _as_read(self, seen: Observation) -> StepBefore:
+        """The step before as it was read; far readings only if the import bears them out.
 
         What was missing is as it was estimated.
         """
+        before = self.before
         read = np.isfinite(before.read_kw) & (before.read_kw >= 0.0)
-        whole = replace(before.seen, load_kw=np.where(read, before.read_kw, before.seen.load_kw))
-        if not self._far.any():
-            return whole
-        tame_kw = np.where(self._far, before.seen.load_kw, whole.load_kw)
-        both = [whole, replace(whole, load_kw=tame_kw)]
-        off_kw = [self._import_mismatch_kw(seen, commanded, one) for one in both]
-        known = [(abs(off), i) for i, off in enumerate(off_kw) if off is not None]
-        return both[min(known)[1]] if known else None
+        whole = replace(before, load_kw=np.where(read, before.read_kw, before.load_kw))
+        tame = replace(whole, load_kw=np.where(before.far, before.load_kw, whole.load_kw))
+        off_kw = [abs(self._import_mismatch_kw(seen, one)) for one in (whole, tame)]
+        return tame if off_kw[1] < off_kw[0] else whole
 
-    def _frozen_now(self, now: _Step, seen: Observation, commanded: Commanded | None) -> _Frozen:
+    def _frozen_now(self, seen: Observation, load_kw: Floats, pv_kw: Floats) -> tuple[Flags, Flags]:
         """Readings that stand still while the balance of the step before contradicts them.
 
         Where that balance is not known the verdict before stands, until a reading moves.
         """
-        before = self._before
-        if before is None:
-            return self._frozen
-        still = _Frozen(
-            now.seen.load_kw == before.seen.load_kw, now.seen.pv_kw == before.seen.pv_kw
-        )
-        off_kw = self._import_mismatch_kw(seen, commanded, before.seen)
-        if commanded is None or off_kw is None:
-            return _Frozen(still.load & self._frozen.load, still.pv & self._frozen.pv)
-        if contradicts(off_kw, commanded, seen, before.seen):
-            return still
-        return _Frozen(np.zeros_like(still.load), np.zeros_like(still.pv))
+        before = self.before
+        off_kw = self._import_mismatch_kw(seen, before)
+        load, pv = load_kw == before.load_kw, pv_kw == before.pv_kw
+        if np.isnan(off_kw):
+            return load & before.frozen_load, pv & before.frozen_pv
+        wrong = contradicts(off_kw, before, seen)
+        return load & wrong, pv & wrong
 
-    def _forecast_was_nearer(
-        self, seen: Observation, commanded: Commanded | None, frozen: _Frozen
-    ) -> bool:
-        """Whether the forecast explains the step before better than the frozen readings do."""
-        before = self._before
-        assert before is not None  # without a step before nothing is frozen
-        by_forecast = LoadAndPVReadings(
-            np.where(frozen.load, before.expected.load_kw, before.seen.load_kw),
-            np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw),
-        )
-        of_readings = self._import_mismatch_kw(seen, commanded, before.seen)
-        of_forecast = self._import_mismatch_kw(seen, commanded, by_forecast)
-        if of_readings is None or of_forecast is None:
-            return True
-        return abs(of_forecast) < abs(of_readings)
+    def _forecast_was_nearer(self, seen: Observation, frozen_load: Flags, frozen_pv: Flags) -> bool:
+        """Whether the forecast explains the step before better than the frozen readings do.
 
-    def _import_mismatch_kw(
-        self, seen: Observation, commanded: Commanded | None, readings: LoadAndPVReadings
-    ) -> float | None:
-        """Mismatch of the step before, None where it is not known."""
-        before = self._before
-        if commanded is None or before is None or seen.t0 != before.t + 1:
-            return None
+        It counts as better where neither is known.
+        """
+        before = self.before
+        by_forecast = replace(
+            before,
+            load_kw=np.where(frozen_load, before.expected_load_kw, before.load_kw),
+            pv_kw=np.where(frozen_pv, before.expected_pv_kw, before.pv_kw),
+        )
+        readings_kw, forecast_kw = (
+            abs(self._import_mismatch_kw(seen, one)) for one in (before, by_forecast)
+        )
+        return not forecast_kw >= readings_kw
+
+    def _import_mismatch_kw(self, seen: Observation, before: StepBefore) -> float:
+        """Mismatch of the step before, NaN where it is not known."""
+        if seen.t0 != before.t + 1:
+            return np.nan
         if seen.import_kw is None or seen.import_kw > before.most_import_kw:
-            return None
-        return mismatch_kw(self.site, commanded, seen, readings)
+            return np.nan
+        return mismatch_kw(self.site, before, seen)
+
+
+def _far_now(seen: Observation, expected_kw: Floats, least_kw: Floats, most_kw: Floats) -> Flags:
+    """Demand far from its forecasts, and from the least and most that were shown to be right.
+
+    By more than meters are off by; where no demand was expected nothing is far.
+    """
+    read_kw = seen.forecast.load_kw[0]
+    profile_kw = expected_kw if seen.profile_kw is None else seen.profile_kw
+    ahead = np.vstack([expected_kw, profile_kw, seen.forecast.load_kw[1:]])
+    far = read_kw > FAR * np.maximum(ahead.max(axis=0), most_kw)
+    far |= read_kw < np.minimum(ahead.min(axis=0), least_kw) / FAR
+    matters = np.abs(read_kw - expected_kw) > tolerance_kw(float(expected_kw.sum()))
+    return np.asarray(far & matters & (expected_kw > 0.0))
 
 
 def _implausible(read_kw: Floats, usual_kw: Floats) -> Flags:
@@ -322,15 +250,13 @@ def _carried_kw(site: Site) -> Floats:
     return found
 
 
-def _most_import_kw(
-    seen: Observation, expected: LoadAndPVReadings, usable: LoadAndPVReadings
-) -> float:
+def _most_import_kw(seen: Observation, expected_kw: Floats, usable_kw: Floats) -> float:
     """The most import of a step that is one: what the connection passes, and no more than far.
 
     A demand that was accepted counts as expected.
     """
     limit_kw = float(seen.forecast.grid_limit_kw[0])
-    demand_kw = float(np.fmax(expected.load_kw, usable.load_kw).sum())
+    demand_kw = float(np.fmax(expected_kw, usable_kw).sum())
     battery_kw = 0.0 if seen.battery_kw is None else float(np.abs(seen.battery_kw).sum())
     far_kw = FAR * (demand_kw + battery_kw) + tolerance_kw(demand_kw)
     passes_kw = limit_kw + tolerance_kw(limit_kw) if limit_kw > 0.0 else np.inf
