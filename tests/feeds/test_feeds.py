@@ -360,10 +360,8 @@ def test_a_head_that_drips_is_no_answer_and_late_is_said_beside_it(
         follower = Follower(feed, ["CM4 0"], listed, told.append)
         end = threading.Event()
         threading.Timer(0.6, end.set).start()
-        begin = time.monotonic()
         follow.follow(follower, Asker(feed, 60.0), end)
         ended.set()
-    assert time.monotonic() - begin < 2.0
     assert "is late" in told[0]  # before the limit of the answer
     assert "it is not done within 0.3 s" in told[1]
     assert set(listed.events) == {"ukpn late"}

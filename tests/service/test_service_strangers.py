@@ -80,7 +80,7 @@ def test_a_head_has_its_time(hasty: tuple[str, int]) -> None:
     answered.send(b"POST /nowhere HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100\r\n\r\n")
     begin = time.monotonic()
     ended = set()
-    while len(ended) < 2 and time.monotonic() - begin < 3.0:
+    while len(ended) < 2 and time.monotonic() - begin < 60.0:
         for one in {trickling, answered} - ended:
             try:
                 one.send(b"G")
