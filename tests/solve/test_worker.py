@@ -178,7 +178,8 @@ def test_every_end_has_a_named_fallback_soon(
     made: list[IsolatedSolver] = []
 
     def solver_of(site: Site) -> WindowSolver:
-        made.append(IsolatedSolver(site, limits=SHORT, factory=factory, workers=workers))
+        limits = SHORT if words == LATE else LONG
+        made.append(IsolatedSolver(site, limits=limits, factory=factory, workers=workers))
         return made[-1]
 
     def controller_of(site: Site) -> Decider:
