@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.ahead import KindsAhead
-from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
@@ -205,12 +204,3 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Float
     q_flow = lossless_flows(net, q_kvar - state.drawn_kvar)
     u = squared_voltages(net, p_flow, q_flow, state.offset_pu2)
     return p_flow, q_flow, net.v_pu(np.maximum(u, 0.0))
-
-
-def one_step(**rows: Any) -> Dispatch:
-    """A dispatch of one step from its rows; what has its rows already is left as it is."""
-    arrays: dict[str, Any] = {
-        name: value if name in ("soc", "given_kvar") else np.asarray(value)[np.newaxis]
-        for name, value in rows.items()
-    }
-    return Dispatch(**arrays)
