@@ -80,6 +80,16 @@ class Dispatch:
         shape = (self.n_steps, len(units))
         return np.zeros(shape, dtype=bool) if found is None else found
 
+    def step(self, row: int) -> Self:
+        """One of its steps."""
+        now = slice(row, row + 1)
+        by_kind = {
+            name: {kind: values[now] for kind, values in getattr(self, name).items()}
+            for name in ("taken_kw", "running", "given_kvar")
+        }
+        rows: dict[str, Any] = {name: values[now] for name, values in self.arrays().items()}
+        return replace(self, **rows | by_kind | {"soc": self.soc[row : row + 2]})
+
     def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Self:
         """Dispatch with the powers of a kind, and which of its units are on."""
         more = {} if running is None else {kind: running}
