@@ -162,6 +162,11 @@ def test_plan_that_passes_is_followed(tiny: Scenario) -> None:
     followed = controller.decide(actual(tiny, 4, soc=0.85))
     assert (followed.corrected, followed.reason, followed.info.status) == (False, "", "planned")
     assert followed.dispatch is controller.plan and followed.row == 4
+    # Its step is one row, and has the states of charge before and after it.
+    each = np.arange(7.0)[:, None] + np.zeros(2)
+    step = replace(followed, dispatch=replace(followed.dispatch, soc=each, charge_kw=each[:6])).step
+    assert (step.n_steps, step.charge_kw.tolist()) == (1, [[4.0, 4.0]])
+    assert step.soc.tolist() == [[4.0, 4.0], [5.0, 5.0]]
 
 
 @pytest.mark.parametrize(("change", "reason"), [

@@ -85,15 +85,14 @@ def test_rule_is_always_feasible_and_carried_out_as_it_is(
     seed: int, charge_kw: float, stressed: bool
 ) -> None:
     scenario, state = state_of(seed, stressed)
-    carried = rule_dispatch(state, TIERS, np.full(len(scenario.batteries), charge_kw))
-    plan = carried.dispatch
+    plan = rule_dispatch(state, TIERS, np.full(len(scenario.batteries), charge_kw))
     # Inverters of stressed windows may be too small for what their owners consume themselves.
     found = {} if stressed else check_dispatch(scenario, window_of(state), plan).violations
     first = plan.served[0] & (scenario.customers.tier == "critical")
     alone = carry(state, first, np.zeros(len(scenario.batteries)))
-    assert carried.no_worse_than(alone)
+    assert plan.no_worse_than(alone)
     exempt = {"voltage limits"}  # the rule goes by those of the AC voltages
-    if carried.reactive_short_kvar > 1e-6:
+    if plan.reactive_short_kvar > 1e-6:
         exempt |= {"reactive balance"}
     assert {
         name: value for name, value in found.items() if value > 1e-7 and name not in exempt
@@ -144,26 +143,23 @@ def step(scenario: Scenario, t: int, soc: float = 0.5) -> StepState:
 
 def test_rule_in_an_island_by_hand() -> None:
     # 12 kW of sun, 0.1 x 100 kWh x 0.95 / 0.5 h = 19 kW of battery: a (10) and b (20) fit, not c.
-    carried = rule_dispatch(step(small_scenario(), 1, soc=0.25), TIERS)
-    plan = carried.dispatch
+    plan = rule_dispatch(step(small_scenario(), 1, soc=0.25), TIERS)
     assert plan.served[0].tolist() == [True, True, False]
     assert plan.pv_self_kw[0, 0] == 12.0
     assert plan.discharge_kw[0, 0] == pytest.approx(18.0)
     assert plan.soc[1, 0] == pytest.approx(0.25 - 18.0 / 0.95 * 0.5 / 100)
     assert plan.p_grid_kw[0] == 0.0
-    assert carried.shortage == ""
+    assert plan.shortage == ""
 
 
 def test_rule_serves_the_first_tier_from_an_empty_battery_by_sun_alone() -> None:
-    plan = rule_dispatch(step(small_scenario(), 1, soc=0.15), TIERS).dispatch
+    plan = rule_dispatch(step(small_scenario(), 1, soc=0.15), TIERS)
     assert plan.served[0].tolist() == [True, False, False]
     assert (plan.charge_kw[0, 0], plan.pv_curtailed_kw[0, 0]) == (pytest.approx(2.0), 0.0)
 
 
 def test_full_battery_leaves_the_surplus_curtailed() -> None:
-    plan = carry(
-        step(small_scenario(), 1, soc=0.85), np.array([True, False, False]), np.zeros(1)
-    ).dispatch
+    plan = carry(step(small_scenario(), 1, soc=0.85), np.array([True, False, False]), np.zeros(1))
     assert (plan.charge_kw[0, 0], plan.pv_curtailed_kw[0, 0]) == (0.0, pytest.approx(2.0))
 
 
@@ -172,7 +168,7 @@ def test_what_cannot_be_carried_is_none() -> None:
 
 
 def test_connected_rule_imports_and_leaves_the_batteries_alone() -> None:
-    plan = rule_dispatch(step(small_scenario(), 0), TIERS).dispatch
+    plan = rule_dispatch(step(small_scenario(), 0), TIERS)
     assert plan.served.all()
     assert plan.p_grid_kw[0] == pytest.approx(70.0 - 12.0)
     assert plan.charge_kw.sum() == plan.discharge_kw.sum() == 0.0

@@ -19,9 +19,9 @@ from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
-from vppres.control.step_state import one_step
 from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
@@ -369,7 +369,7 @@ class Idle:
         nothing = np.zeros(0)
         buses, lines = self.site.network.n_buses, self.site.network.n_lines
         return Decision(
-            one_step(
+            Dispatch.one_step(
                 served=np.ones(1, dtype=bool),
                 **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw"), nothing),
                 **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar"), nothing),

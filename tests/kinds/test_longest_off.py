@@ -199,7 +199,7 @@ def test_a_rule_serves_the_due_customer_of_a_tier_first() -> None:
             due=state_of(day, [0.0, off_h]).due,
             parts=Parts.one(day.network, 1, 1),
         )
-        assert rule_dispatch(state, day.tiers).dispatch.served[0].tolist() == served
+        assert rule_dispatch(state, day.tiers).served[0].tolist() == served
 
 
 # Days.

@@ -525,7 +525,7 @@ class Rule:
         return range(t0, t0 + 1)
 
     def decide(self, observation: Observation) -> Decision:
-        plan = rule_dispatch(StepState.of(self.site, observation, "lossless"), self.tiers).dispatch
+        plan = rule_dispatch(StepState.of(self.site, observation, "lossless"), self.tiers)
         return Decision(plan, 0, SolveInfo(status="rule"), fallback="rule")
 
 
@@ -559,7 +559,7 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
     order = service_order(state, list(island.tiers))
     kept: list[int] = []
     for customer in order:
-        tried = served_by_phase(state, [np.array([*kept, customer])]).dispatch.served[0]
+        tried = served_by_phase(state, [np.array([*kept, customer])]).served[0]
         kept += [customer] if tried[[*kept, customer]].all() else []
     flows: list[int] = []
     solved = PhasedModel.solved
@@ -569,7 +569,7 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
         return solved(model, source, *drawn)
 
     monkeypatch.setattr(PhasedModel, "solved", counted)
-    served = served_by_phase(state, [order]).dispatch.served[0]
+    served = served_by_phase(state, [order]).served[0]
     assert np.flatnonzero(served).tolist() == sorted(kept)
     assert served.all() == (share == 10.0)
     assert share < 10.0 or len(flows) < len(order)
@@ -592,7 +592,7 @@ def test_the_rule_serves_the_largest_worth_of_a_first_tier_that_power_suffices_f
     state = replace(state, pv_kw=0.0 * state.pv_kw, load_kw=np.zeros(len(names)))
     former_kw = state.discharge_max_kw[full.formers].sum()
     state.load_kw[[large, small]] = 0.8 * former_kw, 0.4 * former_kw
-    served = rule_dispatch(state, list(island.tiers)).dispatch.served[0]
+    served = rule_dispatch(state, list(island.tiers)).served[0]
     assert served[[large, small]].tolist() == [True, False]
 
 

@@ -137,6 +137,11 @@ class Decision:
     #: The configuration, in whose order buses and lines stand; None where no switch moves.
     switched: Switched | None = None
 
+    @property
+    def step(self) -> Dispatch:
+        """The step that is decided, one row."""
+        return self.dispatch.step(self.row)
+
 
 class Decider(Protocol):
     """Interface of what decides one step at a time: controllers, and the guard around them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -44,6 +45,15 @@ class Dispatch:
     running: dict[str, Flags] = field(default_factory=dict)
     given_kvar: dict[str, Floats] = field(default_factory=dict)
 
+    @classmethod
+    def one_step(cls, **rows: Any) -> Self:
+        """A dispatch of one step from its rows; what has its rows already is left as it is."""
+        arrays: dict[str, Any] = {
+            name: value if name in ("soc", "given_kvar") else np.asarray(value)[np.newaxis]
+            for name, value in rows.items()
+        }
+        return cls(**arrays)
+
     @property
     def n_steps(self) -> int:
         """Number of steps W."""
@@ -70,7 +80,17 @@ class Dispatch:
         shape = (self.n_steps, len(units))
         return np.zeros(shape, dtype=bool) if found is None else found
 
-    def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Dispatch:
+    def step(self, row: int) -> Self:
+        """One of its steps."""
+        now = slice(row, row + 1)
+        by_kind = {
+            name: {kind: values[now] for kind, values in getattr(self, name).items()}
+            for name in ("taken_kw", "running", "given_kvar")
+        }
+        rows: dict[str, Any] = {name: values[now] for name, values in self.arrays().items()}
+        return replace(self, **rows | by_kind | {"soc": self.soc[row : row + 2]})
+
+    def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Self:
         """Dispatch with the powers of a kind, and which of its units are on."""
         more = {} if running is None else {kind: running}
         return replace(

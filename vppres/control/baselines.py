@@ -93,4 +93,4 @@ class ReserveController:
 
 def _decision(carried: Carried, status: str) -> Decision:
     """A rule's dispatch as a decision; what it leaves open is its reason."""
-    return Decision(carried.dispatch, 0, SolveInfo(status=status), reason=carried.shortage)
+    return Decision(carried, 0, SolveInfo(status=status), reason=carried.shortage)

@@ -81,16 +81,15 @@ def no_supply(state: StepState) -> Carried:
     served = np.zeros(len(site.customers), dtype=bool)
     found = carry(without_power, served, np.zeros(len(site.batteries)))
     assert found is not None  # with no demand and no power every balance closes
-    curtailed = replace(found.dispatch, pv_curtailed_kw=state.pv_kw[np.newaxis])
-    return replace(found, dispatch=curtailed)
+    return replace(found, pv_curtailed_kw=state.pv_kw[np.newaxis])
 
 
-def _joined(state: StepState, parts: list[StepState], answers: list[Carried]) -> Carried:
+def _joined(state: StepState, parts: list[StepState], plans: list[Carried]) -> Carried:
     """The step of the whole feeder: each device does what it does in its part.
 
     A flow is the sum of those of all parts, for each part has its own balance.
     """
-    site, plans = state.site, [answer.dispatch for answer in answers]
+    site = state.site
 
     def of_devices(name: str, place: Any) -> Any:
         return sum(
@@ -114,7 +113,7 @@ def _joined(state: StepState, parts: list[StepState], answers: list[Carried]) ->
         taken_kw=of_units("taken_kw"),
         running={kind: on > 0 for kind, on in of_units("running").items()},
     )
-    dispatch = dispatch_of(
+    joined = dispatch_of(
         acting,
         of_devices("served", site.customer_bus) > 0,
         tuple(
@@ -125,9 +124,9 @@ def _joined(state: StepState, parts: list[StepState], answers: list[Carried]) ->
         float(plans[0].p_grid_kw[0]),
         of_units("given_kvar"),
     )
-    return Carried(
-        dispatch,
-        sum(answer.reactive_short_kvar for answer in answers),
-        max(answer.voltage_excess_pu for answer in answers),
-        sum(answer.surplus_kw for answer in answers),
+    return replace(
+        joined,
+        reactive_short_kvar=sum(plan.reactive_short_kvar for plan in plans),
+        voltage_excess_pu=max(plan.voltage_excess_pu for plan in plans),
+        surplus_kw=sum(plan.surplus_kw for plan in plans),
     )

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.control.step_state import StepState, network_state, one_step
+from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.formulas import bus_injections
 
@@ -20,12 +20,12 @@ S = TypeVar("S")
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
-    """A dispatch of one step and what it leaves open."""
+class Carried(Dispatch):
+    """A dispatch of one step, and what it leaves open."""
 
-    dispatch: Dispatch  #: one row
-    reactive_short_kvar: float  #: reactive power that no device can supply
-    voltage_excess_pu: float  #: how far the worst bus lies outside the limits of the AC voltages
+    reactive_short_kvar: float = 0.0  #: reactive power that no device can supply
+    #: How far the worst bus lies outside the limits of the AC voltages.
+    voltage_excess_pu: float = 0.0
     surplus_kw: float = 0.0  #: what generating sets give and no customer takes
 
     @property
@@ -83,7 +83,7 @@ def dispatch_of(
     battery_kvar: Floats,
     grid_kw: float,
     given_kvar: Mapping[str, Floats],
-) -> Dispatch:
+) -> Carried:
     """One step in which customers are supplied, (C,), with its flows, voltages and storage.
 
     ``pv`` is own use, export and reactive power. Batteries charge with ``battery_kw``, negative to
@@ -101,7 +101,7 @@ def dispatch_of(
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge = np.maximum(battery_kw, 0.0)
     discharge = np.maximum(-battery_kw, 0.0)
-    dispatch = one_step(
+    carried = Carried.one_step(
         served=served,
         pv_self_kw=own,
         pv_export_kw=export,
@@ -120,5 +120,5 @@ def dispatch_of(
     )
     for kind, kw in state.taken_kw.items():
         on = state.running.get(kind)
-        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
-    return dispatch
+        carried = carried.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
+    return carried

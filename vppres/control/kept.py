@@ -25,16 +25,16 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
     if state.dark:
         return _dispatch_beside(state, state.formers, tiers)
     alone = rule_dispatch(state, tiers)
-    least = float(alone.dispatch.served[0] @ state.worth)
+    least = float(alone.served[0] @ state.worth)
     if state.holders:
         beside = _dispatch_beside(state, state.holders, tiers)
-        if float(beside.dispatch.served[0] @ state.worth) > least:
+        if float(beside.served[0] @ state.worth) > least:
             return beside
     for tried in _states_to_try(state):
         found = rule_dispatch(tried, tiers)
-        costs_service = float(found.dispatch.served[0] @ state.worth) < least
+        costs_service = float(found.served[0] @ state.worth) < least
         closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.no_worse_than(alone)
-        if closes and not costs_service and _only_supplied_take(found.dispatch, state):
+        if closes and not costs_service and _only_supplied_take(found, state):
             return found
     return alone
 
@@ -44,9 +44,7 @@ def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
     carried = by_part(state, lambda part: rule_with_kinds(part, tiers))
     assert carried is not None  # a rule always has an answer
     words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
-    return Decision(
-        carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
-    )
+    return Decision(carried, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words)
 
 
 def _states_to_try(state: StepState) -> Iterator[StepState]:
@@ -75,10 +73,10 @@ def _dispatch_beside(
     if not formers:
         return no_supply(state)
     most = rule_dispatch(_beside(state, formers, np.inf), tiers)
-    served = most.dispatch.served[0]
+    served = most.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     found = rule_dispatch(_beside(state, formers, lacking_kw), tiers)
-    closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
+    closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.served.any()
     return found if closes else no_supply(state)
 
 

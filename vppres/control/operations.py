@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.candidates import Reached
 from vppres.control.configurations import InConfiguration
 from vppres.control.guard.check import Tolerances, violations
 from vppres.control.phased_rule import supply_of
-from vppres.control.planned_step import PlannedStep
 from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.feeders.reconfiguration.by_phase import FlowInStates
@@ -130,12 +130,12 @@ class Operations:
         net, forecast = day.network, self.observation.forecast
         part = self.of.controller_in(found.candidate.closed)
         state = self.of.state_in(part, self.observation)
-        step = PlannedStep.of(found.decision, state.site)
-        p_kw, q_kvar = (part.day.at_buses(each) for each in step.injections(state))
+        step = found.decision.step
+        p_kw, q_kvar = (part.day.at_buses(each) for each in state.injections(step))
         formers = Formers.none() if dark else self._formers(step)
         by_phase = None
         if day.phases:
-            by_phase = FlowInStates(day, map(str, formers.id), *step.drawn(state, GRID))
+            by_phase = FlowInStates(day, map(str, formers.id), *state.powers(step, GRID))
         return SwitchedFeeder(
             net,
             day.switches,
@@ -151,7 +151,7 @@ class Operations:
             by_phase=by_phase,
         )
 
-    def _formers(self, step: PlannedStep) -> Formers:
+    def _formers(self, step: Dispatch) -> Formers:
         """Batteries that can hold an island, with their set-points."""
         b = self.of.day.batteries
         able = np.flatnonzero(self.of.day.formers & b.holds_energy(self.observation.soc))
@@ -161,20 +161,20 @@ class Operations:
             b.s_max_kva[able],
             -b.active_max_kw[able],
             b.active_max_kw[able],
-            step.battery_kw[able],
-            step.batt_q_kvar[able],
+            (step.discharge_kw - step.charge_kw)[0, able],
+            step.batt_q_kvar[0, able],
         )
 
 
 def _with_lines_of(state: StepState, decision: Decision) -> Decision:
     """A decision with the flows and voltages that its step has in another configuration."""
-    step = PlannedStep.of(decision, state.site)
-    p_flow_kw, q_flow_kvar, v_pu = network_state(state, *step.injections(state))
+    step = decision.step
+    p_flow_kw, q_flow_kvar, v_pu = network_state(state, *state.injections(step))
     plan, row = decision.dispatch, decision.row
     v_node_pu = plan.v_node_pu
     if v_node_pu is not None:
         model, source = phased_model(state.site), supply_of(state)
-        found = model.solved(source, *step.drawn(state, source))
+        found = model.solved(source, *state.powers(step, source))
         if found is not None:
             of_nodes = model.supplies[source].flow.v_pu(found.v)
             v_node_pu = _with_row(v_node_pu, row, of_nodes)

@@ -109,8 +109,7 @@ class Passes:
         )
         if found is None or (spent_kw(site, data, found.dispatch) > SPENT_KW).any():
             return data, solution
-        stages = (*solution.stages, "unspent", *found.stages)
-        return limited, replace(solution.carried_by(found.after(solution)), stages=stages)
+        return limited, solution.carried_by(found.after(solution), "unspent", *found.stages)
 
 
 def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:

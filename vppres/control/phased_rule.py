@@ -49,9 +49,7 @@ def served_by_phase(state: StepState, blocks: Sequence[Wholes]) -> Carried:
     best = None if former is None else former.carried(nobody, None)
     if former is None or best is None:
         pv, battery = (np.zeros(len(each)) for each in (state.site.pv, state.site.batteries))
-        return Carried(
-            dispatch_of(state, nobody, (pv, pv, pv), battery, battery, 0.0, {}), 0.0, 0.0
-        )
+        return dispatch_of(state, nobody, (pv, pv, pv), battery, battery, 0.0, {})
     # Customers that are carried together are carried one by one: most of them take no flow each.
     return former.dispatch(with_more(nobody, best, blocks, former.carried))
 
@@ -268,8 +266,8 @@ class Former:
             kvar[kind] = np.where(forms, total.imag, 0.0)
         own = schedule.own
         pv = own, 0.0 * own, 0.0 * own
-        dispatch = dispatch_of(state, schedule.served, pv, -given[0], given[1], 0.0, kvar)
-        return Carried(dispatch, 0.0, 0.0, self.surplus_kw(schedule.found))
+        found = dispatch_of(state, schedule.served, pv, -given[0], given[1], 0.0, kvar)
+        return replace(found, surplus_kw=self.surplus_kw(schedule.found))
 
 
 @dataclass(frozen=True, eq=False)

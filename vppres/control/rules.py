@@ -206,12 +206,16 @@ def _with_network(
         given_kvar[kind] = np.clip(missing_kvar, -most_kvar, most_kvar)
         short_kvar -= float(np.abs(given_kvar[kind]).sum())
     pv = own, export, pv_q
-    dispatch = dispatch_of(state, served, pv, battery_kw, batt_q, grid_kw, given_kvar)
+    carried = dispatch_of(state, served, pv, battery_kw, batt_q, grid_kw, given_kvar)
     net = state.site.network
     lowest, highest = state.v_limits_pu(net.v_min_ac_pu, net.v_max_ac_pu)
-    v_pu = dispatch.v_pu[0]
+    v_pu = carried.v_pu[0]
     outside = np.maximum(v_pu - highest, lowest - v_pu)[1:]
-    return Carried(dispatch, max(short_kvar, 0.0), max(float(outside.max()), 0.0))
+    return replace(
+        carried,
+        reactive_short_kvar=max(short_kvar, 0.0),
+        voltage_excess_pu=max(float(outside.max()), 0.0),
+    )
 
 
 def _reactive(

@@ -16,10 +16,11 @@ from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
-from vppres.model.formulas import lossless_flows, squared_voltages
+from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows, squared_voltages
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
 from vppres.model.parts import Parts, at_items, parts_of
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.formers import largest_forming_battery
 
@@ -193,9 +194,54 @@ class StepState:
         """Step state with every battery off."""
         return replace(self, online=np.zeros_like(self.online))
 
+    def own_part(self, step: Dispatch) -> Dispatch:
+        """A planned step whose devices outside of the part do nothing."""
+        site = self.site
+        on, pv, batteries = map(self.items, (site.customer_bus, site.pv_bus, site.battery_bus))
+        units = {kind: self.items(place) for kind, place in site.unit_bus.items()}
+        inside = {"pv_curtailed_kw": pv, "pv_q_kvar": pv, "served": on}
+        inside |= dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar"), batteries)
+        inside |= {} if step.share is None else {"share": on}
+        rows: dict[str, Any] = {name: getattr(step, name) * own for name, own in inside.items()}
+        for name in ("taken_kw", "given_kvar"):
+            rows[name] = {kind: kw * units[kind] for kind, kw in getattr(step, name).items()}
+        return replace(step, **rows)
+
+    def sun_kw(self, step: Dispatch) -> Floats:
+        """PV power that a planned step uses or exports, (P,)."""
+        wanted_kw, served_kw = step.pv_curtailed_kw[0], self.load_kw * step.supplied[0]
+        return self.pv_kw - curtailed_kw(self.site, wanted_kw, self.pv_kw, served_kw)
+
+    def injections(self, step: Dispatch) -> tuple[Floats, Floats]:
+        """Injections of a planned step at all buses in kW and kvar, (N,) each."""
+        site, load_kw = self.site, self.load_kw * step.supplied[0]
+        battery_kw = step.discharge_kw[0] - step.charge_kw[0]
+        p_kw = {"pv": self.sun_kw(step), "batteries": battery_kw, "customers": -load_kw}
+        p_kw |= {kind: -step.taken_by(kind, units)[0] for kind, units in site.kinds.items()}
+        q_kvar = {"pv": step.pv_q_kvar[0], "batteries": step.batt_q_kvar[0]}
+        q_kvar |= {"customers": -load_kw * site.customers.q_per_p, **_given_kvar(step)}
+        return bus_injections(site, p_kw), bus_injections(site, q_kvar)
+
+    def powers(self, step: Dispatch, source: int) -> tuple[Floats, Floats]:
+        """Power that devices of a phased feeder draw in a step beside a source, (D,) each."""
+        kinds = self.site.kinds.items()
+        return phased_model(self.site).powers(
+            source,
+            load_kw=self.load_kw * step.supplied[0],
+            pv=(self.sun_kw(step), step.pv_q_kvar[0]),
+            batteries=(step.discharge_kw[0] - step.charge_kw[0], step.batt_q_kvar[0]),
+            taken_kw={kind: step.taken_by(kind, units)[0] for kind, units in kinds},
+            given_kvar=_given_kvar(step),
+        )
+
     def own_kw(self, served: Flags) -> Floats:
         """Self-consumption of each PV system for a supply schedule, (P,)."""
         return np.minimum(self.site.behind_meter(self.load_kw * served), self.usable_pv_kw)
+
+
+def _given_kvar(step: Dispatch) -> dict[str, Floats]:
+    """Reactive power of units by kind in a step; none where it is not known."""
+    return {kind: np.nan_to_num(kvar[0]) for kind, kvar in step.given_kvar.items()}
 
 
 def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Floats, Floats]:
@@ -205,12 +251,3 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Float
     q_flow = lossless_flows(net, q_kvar - state.drawn_kvar)
     u = squared_voltages(net, p_flow, q_flow, state.offset_pu2)
     return p_flow, q_flow, net.v_pu(np.maximum(u, 0.0))
-
-
-def one_step(**rows: Any) -> Dispatch:
-    """A dispatch of one step from its rows; what has its rows already is left as it is."""
-    arrays: dict[str, Any] = {
-        name: value if name in ("soc", "given_kvar") else np.asarray(value)[np.newaxis]
-        for name, value in rows.items()
-    }
-    return Dispatch(**arrays)

@@ -146,13 +146,10 @@ class FaultInjector:
         online = self.online(t)
         if online.all():
             return decision
-        plan = decision.dispatch
-        still: dict[str, Any] = {}
-        for name in ("charge_kw", "discharge_kw", "batt_q_kvar"):
-            values = np.array(getattr(plan, name), dtype=float)
-            values[decision.row] *= online
-            still[name] = values
-        return replace(decision, dispatch=replace(plan, **still))
+        step = decision.step
+        names = ("charge_kw", "discharge_kw", "batt_q_kvar")
+        still: dict[str, Any] = {name: getattr(step, name) * online for name in names}
+        return replace(decision, dispatch=replace(step, **still), row=0)
 
     def online(self, t: int) -> Flags:
         """Batteries that are really there at a step, (B,)."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.core.arrays import Flags, Floats
+from vppres.contract.dispatch import Dispatch
 from vppres.core.errors import VerificationError
 from vppres.kinds.export.plant import within_export_limit
 from vppres.physics.feeder import PowerFlow
@@ -33,8 +33,8 @@ def realise(
     A power flow that was merely not found sheds no customer: its best answer is recorded as such.
     """
     failed = ""
-    for shed, tried in _with_less_load(plant.scenario, t, decision):
-        realised = plant.apply(t, tried, state)
+    for shed, tried in _with_less_load(plant.scenario, t, decision.step):
+        realised = plant.apply(t, Decision(tried), state)
         try:
             realised, result = within_export_limit(plant, flow, t, realised, state)
         except NoSolutionError as error:
@@ -58,45 +58,26 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
     )
 
 
-def _with_less_load(
-    scenario: Scenario, t: int, decision: Decision
-) -> Iterator[tuple[str, Decision]]:
-    """The decision, then without vehicles, machines and ever more tiers, then without any power."""
-    yield NOBODY, decision
-    asked = decision.dispatch
+def _with_less_load(scenario: Scenario, t: int, asked: Dispatch) -> Iterator[tuple[str, Dispatch]]:
+    """The step as planned, then without vehicles, machines and ever more tiers, then any power."""
+    yield NOBODY, asked
     flexible = {
-        kind: _with_row(taken_kw, decision.row, 0.0)
+        kind: np.zeros_like(taken_kw)
         for kind, taken_kw in asked.taken_kw.items()
         if kind not in asked.running
     }
     if flexible:
         asked = replace(asked, taken_kw={**asked.taken_kw, **flexible})
-        decision = replace(decision, dispatch=asked)
-        yield NOBODY, decision
-    served = np.array(decision.dispatch.served[decision.row], dtype=bool)
+        yield NOBODY, asked
+    served = np.array(asked.served, dtype=bool)
     for tier in reversed(scenario.tiers):
         served = served & (scenario.customers.tier != tier)
-        yield f"{tier} and below", _with_served(decision, served)
-    plan = decision.dispatch
-    row = decision.row
+        yield f"{tier} and below", replace(asked, served=served)
     still: dict[str, Any] = {
-        name: _with_row(getattr(plan, name), row, 0.0)
+        name: np.zeros_like(getattr(asked, name))
         for name in ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")
     }
-    still["pv_curtailed_kw"] = _with_row(plan.pv_curtailed_kw, row, scenario.pv_kw[t])
-    still["taken_kw"] = {kind: _with_row(kw, row, 0.0) for kind, kw in plan.taken_kw.items()}
-    still["running"] = {kind: np.zeros_like(on) for kind, on in plan.running.items()}
-    empty = _with_served(decision, served)
-    yield "everything", replace(empty, dispatch=replace(empty.dispatch, **still))
-
-
-def _with_served(decision: Decision, served: Flags) -> Decision:
-    rows = np.array(decision.dispatch.served, dtype=bool)
-    rows[decision.row] = served
-    return replace(decision, dispatch=replace(decision.dispatch, served=rows))
-
-
-def _with_row(values: Floats, row: int, value: Floats | float) -> Floats:
-    changed = np.array(values, dtype=float)
-    changed[row] = value
-    return changed
+    still["pv_curtailed_kw"] = scenario.pv_kw[[t]]
+    for name in ("taken_kw", "running"):
+        still[name] = {kind: np.zeros_like(each) for kind, each in getattr(asked, name).items()}
+    yield "everything", replace(asked, served=served, **still)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Wholes
 from vppres.physics.feeder import PowerFlow, flow_of_part
 from vppres.physics.phased_sources import measured_at
@@ -73,7 +74,7 @@ class PlantInParts:
         scenario = self.plant.scenario
         number = int(np.argmax(buses))
         inside = PartOfPlant.of(self.plant.places, buses, buses[1:] & ~out.lines[0])
-        own = replace(decision, dispatch=self._of_part(t, decision, inside))
+        own = Decision(self._of_part(t, decision.step, inside))
         if number == 0 and not held:
             flow = self._flow(inside, bool(self.plant.scenario.outage[t]))
             return inside, realise(self.plant, flow, t, own, state)
@@ -88,26 +89,24 @@ class PlantInParts:
         island.formers = formers_within(scenario, inside.batteries) & online
         return inside, island.settle(t, planned, state)
 
-    def _of_part(self, t: int, decision: Decision, inside: PartOfPlant) -> Any:
-        """The decision's dispatch without what is outside of a part."""
-        plan, row = decision.dispatch, decision.row
-        changed: dict[str, Any] = {}
-        for name, which in (
-            ("served", inside.customers),
-            ("charge_kw", inside.batteries),
-            ("discharge_kw", inside.batteries),
-            ("batt_q_kvar", inside.batteries),
-            ("pv_q_kvar", inside.pv),
-        ):
-            changed[name] = _in_row(getattr(plan, name), row, which, 0)
+    def _of_part(self, t: int, step: Dispatch, inside: PartOfPlant) -> Dispatch:
+        """A planned step without what is outside of a part."""
+        of_items = {
+            "served": inside.customers,
+            "pv_q_kvar": inside.pv,
+            **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar"), inside.batteries),
+        }
+        changed: dict[str, Any] = {
+            name: _inside(which, getattr(step, name)) for name, which in of_items.items()
+        }
         pv_kw = self.plant.scenario.pv_kw[t]
-        changed["pv_curtailed_kw"] = _in_row(plan.pv_curtailed_kw, row, inside.pv, pv_kw)
+        changed["pv_curtailed_kw"] = np.where(inside.pv, step.pv_curtailed_kw, pv_kw)
         for name in ("taken_kw", "running"):
             changed[name] = {
-                kind: _in_row(values, row, inside.units[kind], 0)
-                for kind, values in getattr(plan, name).items()
+                kind: _inside(inside.units[kind], values)
+                for kind, values in getattr(step, name).items()
             }
-        return replace(plan, **changed)
+        return replace(step, **changed)
 
     def _flow(self, part: PartOfPlant, island: bool) -> PowerFlow:
         """Power flow of a part, made once."""
@@ -117,11 +116,9 @@ class PlantInParts:
         return self._flows[key]
 
 
-def _in_row(values: Any, row: int, inside: Flags, outside: Any) -> Any:
-    """Values of all steps with others outside a part in one of them."""
-    changed = np.array(values)
-    changed[row] = np.where(inside, changed[row], outside)
-    return changed
+def _inside(which: Flags, values: Any) -> Any:
+    """Values of some items, and none of the others."""
+    return np.where(which, values, np.zeros_like(values))
 
 
 def _joined(parts: list[SettledPart], bus_of_node: Wholes) -> Settled:

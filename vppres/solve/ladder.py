@@ -174,13 +174,7 @@ class WindowSolver:
         kept = self._served(data, limits, found.dispatch.served, found.dispatch)
         if kept is None or _dims_more(kept.dispatch, found.dispatch, self.site):
             return None
-        return replace(
-            found.after(kept),
-            dispatch=kept.dispatch,
-            terms=kept.terms,
-            loss_kw=kept.loss_kw,
-            stages=found.stages + kept.stages,
-        )
+        return found.carried_by(kept.after(found), *kept.stages)
 
     def _answer(
         self, tighter: list[WindowData], data: WindowData, deadline: Deadline
@@ -220,14 +214,9 @@ class WindowSolver:
             limits = self.limits.at_most(deadline.left_s)
             kept = self._served(data, limits, other)
             if kept is not None and as_good(self.site, kept.terms, found.terms):
-                return replace(
-                    found.after(kept),
-                    dispatch=kept.dispatch,
-                    terms=kept.terms,
-                    objective=kept.objective,
-                    loss_kw=kept.loss_kw,
-                    stages=(*found.stages, *task.certificate.stages, *kept.stages),
-                )
+                stages = (*task.certificate.stages, *kept.stages)
+                better = found.carried_by(kept.after(found), *stages)
+                return replace(better, objective=kept.objective)
         return found
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:

@@ -146,8 +146,8 @@ class WindowSolution(SolveInfo):
             self, solve_s=before.solve_s + self.solve_s, solver_s=before.solver_s + self.solver_s
         )
 
-    def carried_by(self, found: WindowSolution) -> WindowSolution:
-        """Copy with another dispatch of the same set, and the seconds until it was found."""
+    def carried_by(self, found: WindowSolution, *stages: str) -> WindowSolution:
+        """Copy with another dispatch of the same set, the seconds and further stages until then."""
         return replace(
             self,
             dispatch=found.dispatch,
@@ -155,4 +155,5 @@ class WindowSolution(SolveInfo):
             loss_kw=found.loss_kw,
             solve_s=found.solve_s,
             solver_s=found.solver_s,
+            stages=(*self.stages, *stages),
         )

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.decision import Decision
+from vppres.contract.dispatch import Dispatch
 from vppres.control.by_part import parts_of_step
 from vppres.control.phased_rule import supply_of
-from vppres.control.planned_step import PlannedStep
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.kinds.batteries.physics import power_beyond_kw
@@ -60,18 +60,18 @@ def violations(
         return odd
     net = state.site.network
     limits_pu = state.v_limits_pu(*(v_limits_pu or (net.v_min_pu, net.v_max_pu)))
-    row = PlannedStep.of(decision, state.site)
+    step = decision.step
     found = (
-        _service(row, state),
-        _battery_power(row, state, within),
-        _kinds(row, state, within),
-        _switched_early(row, state),
-        _unformed_supply(row, state),
-        _dead_parts(row, state),
-        _energy(row, state, within),
-        _pv(row, state, within),
-        _balance(row, state, within),
-        _voltage(row, state, limits_pu, within),
+        _service(step, state),
+        _battery_power(step, state, within),
+        _kinds(step, state, within),
+        _switched_early(step, state),
+        _unformed_supply(step, state),
+        _dead_parts(step, state),
+        _energy(step, state, within),
+        _pv(step, state, within),
+        _balance(step, state, within),
+        _voltage(step, state, limits_pu, within),
     )
     return [text for text in found if text]
 
@@ -103,30 +103,31 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
     return found
 
 
-def _service(row: PlannedStep, state: StepState) -> str:
+def _service(step: Dispatch, state: StepState) -> str:
     c = state.site.customers
-    partly = np.maximum(c.least_share_but(state.whole) - row.served, row.served - c.most_share)
-    partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
+    share = np.asarray(step.supplied[0], dtype=float)
+    partly = np.maximum(c.least_share_but(state.whole) - share, share - c.most_share)
+    partly = np.minimum(np.abs(share), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
 
-def _battery_power(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _battery_power(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """Signs, ratings, exclusivity, discs; a battery that is out takes nothing."""
     b = state.site.batteries
     slack = within.power_kw + within.power_share * b.s_max_kva
-    powers = (row.charge_kw, row.discharge_kw, row.batt_q_kvar)
+    powers = (step.charge_kw[0], step.discharge_kw[0], step.batt_q_kvar[0])
     beyond = np.max([*power_beyond_kw(b, *powers, state.online).values()], axis=0)
     return worst_words("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
-def _kinds(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _kinds(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """Violation of a kind's limits of power or storage; empty if there is none."""
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
-        taken_kw, running = row.taken_kw[kind], row.running[kind]
-        on = units.connected(state.site.customers, row.served[np.newaxis] > 0.0)
+        taken_kw, running = step.taken_by(kind, units), step.running_of(kind, units)
+        on = units.connected(state.site.customers, step.supplied > 0.0)
         now = known.part(slice(1))
-        plan = (units, on, taken_kw[np.newaxis], running[np.newaxis], state.site.dt_h)
+        plan = (units, on, taken_kw, running, state.site.dt_h)
         beyond = np.maximum(now.power_beyond_kw(*plan), now.stored_beyond_kw(*plan))[0]
         slack = within.power_kw + within.power_share * units.largest_kw
         found = worst_words(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
@@ -135,69 +136,72 @@ def _kinds(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     return ""
 
 
-def _switched_early(row: PlannedStep, state: StepState) -> str:
+def _switched_early(step: Dispatch, state: StepState) -> str:
     """Units that start before they may, or run where they must not."""
     islands = state.parts.beyond | state.island
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
         outage = at_items(islands, state.site.unit_bus[kind])
-        wrong = known.switched_early(units, row.running[kind][np.newaxis], outage)[0]
+        wrong = known.switched_early(units, step.running_of(kind, units), outage)[0]
         if wrong.any():
             return f"{KINDS[kind].word} switching: {units.id[np.argmax(wrong)]}"
     return ""
 
 
-def _unformed_supply(row: PlannedStep, state: StepState) -> str:
+def _unformed_supply(step: Dispatch, state: StepState) -> str:
     """Customers on in an island that only a unit of a kind can form, without one that does."""
-    if not state.formers or not row.served.any():
+    if not state.formers or not step.supplied.any():
         return ""
     for kind in state.formers:
-        able = state.ahead.by_kind[kind].able_to_form(state.site.kinds[kind])
-        if (row.running[kind] & able).any():
+        units = state.site.kinds[kind]
+        able = state.ahead.by_kind[kind].able_to_form(units)
+        if (step.running_of(kind, units)[0] & able).any():
             return ""
     return "island: no set forms the grid"
 
 
-def _energy(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _energy(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     known = state.batteries_ahead
-    end = known.path(row.charge_kw[np.newaxis], row.discharge_kw[np.newaxis])[1]
+    end = known.path(step.charge_kw, step.discharge_kw)[1]
     beyond = np.maximum(*known.soc_beyond(end))
     return worst_words("battery energy", known.units.id, beyond - within.soc, beyond, "of capacity")
 
 
-def _pv(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _pv(step: Dispatch, state: StepState, within: Tolerances) -> str:
     pv = state.site.pv
     slack = within.power_kw + within.power_share * pv.s_max_kva
-    beyond = np.maximum(-row.curtailed_kw, np.abs(row.pv_q_kvar) - pv.s_max_kva)
+    beyond = np.maximum(-step.pv_curtailed_kw[0], np.abs(step.pv_q_kvar[0]) - pv.s_max_kva)
     return worst_words("pv", pv.id, beyond - slack, beyond, "kVA")
 
 
-def _dead_parts(row: PlannedStep, state: StepState) -> str:
+def _dead_parts(step: Dispatch, state: StepState) -> str:
     """Customers on in parts of the feeder that nothing forms."""
     off = at_items(state.parts.dead, state.site.customer_bus)[0]
-    wrong = off & (row.served > 0.0)
+    wrong = off & (step.supplied[0] > 0.0)
     if not wrong.any():
         return ""
     return f"fault: nothing forms the grid at {state.site.customers.id[np.argmax(wrong)]}"
 
 
-def _balance(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _balance(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """Violation of the power balance of a part of the feeder; empty if there is none."""
-    found = (_balance_in(row.inside(part), part, within) for part in parts_of_step(state))
+    found = (_balance_in(step, part, within) for part in parts_of_step(state))
     return next(filter(None, found), "")
 
 
-def _balance_in(row: PlannedStep, state: StepState, within: Tolerances) -> str:
+def _balance_in(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """Violation of the import or export limit by the power balance; empty if there is none."""
     pv = state.site.pv
-    taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
-    taken += sum(float(taken_kw.sum()) for taken_kw in row.taken_kw.values())
-    given = float(row.sun_kw(state).sum() + row.discharge_kw.sum())
+    step = state.own_part(step)
+    share = np.asarray(step.supplied[0], dtype=float)
+    taken = float(state.load_kw @ share + step.charge_kw.sum() + state.drawn_kw.sum())
+    taken += sum(float(taken_kw.sum()) for taken_kw in step.taken_kw.values())
+    given = float(state.sun_kw(step).sum() + step.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
         drawn_kw = _phased_network_kw if state.site.phases else _losses_kw
-        found_kw = drawn_kw(row, state)
+        found_kw = drawn_kw(step, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
         given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage
     if state.island and within.losses:  # what buses take that no asset draws, and what they give
@@ -216,11 +220,11 @@ def _balance_in(row: PlannedStep, state: StepState, within: Tolerances) -> str:
     return ""
 
 
-def _phased_network_kw(row: PlannedStep, state: StepState) -> float:
+def _phased_network_kw(step: Dispatch, state: StepState) -> float:
     """Power that a phased feeder draws beyond its assets, in kW; 0 without a solution."""
     model = phased_model(state.site)
     source = supply_of(state)
-    p_kw, q_kvar = row.drawn(state, source)
+    p_kw, q_kvar = state.powers(step, source)
     try:
         found = model.solved(source, p_kw, q_kvar)
     except NoPhasedSolutionError:
@@ -228,12 +232,12 @@ def _phased_network_kw(row: PlannedStep, state: StepState) -> float:
     return 0.0 if found is None else float(model.supplies[source].beyond(found, p_kw, q_kvar)[0][0])
 
 
-def _losses_kw(row: PlannedStep, state: StepState) -> float:
+def _losses_kw(step: Dispatch, state: StepState) -> float:
     """Losses of the flows that follow from the set-points, at the voltages of the plan."""
     net = state.site.network
-    p_kw, q_kvar = row.injections(state)
+    p_kw, q_kvar = state.injections(step)
     # Limited, so that the losses of a plan with nonsense for voltages are still numbers.
-    v_pu = np.clip(row.v_pu, net.v_min_pu, net.v_max_pu) / net.bus_ratio
+    v_pu = np.clip(step.v_pu[0], net.v_min_pu, net.v_max_pu) / net.bus_ratio
     per_v2 = 1.0 / v_pu[net.parent] ** 2
     loss_kw = np.zeros(net.n_lines)
     loss_kvar = np.zeros(net.n_lines)
@@ -248,14 +252,15 @@ def _losses_kw(row: PlannedStep, state: StepState) -> float:
 
 
 def _voltage(
-    row: PlannedStep, state: StepState, limits_pu: tuple[Floats, Floats], within: Tolerances
+    step: Dispatch, state: StepState, limits_pu: tuple[Floats, Floats], within: Tolerances
 ) -> str:
     """Voltages of the plan; those without control are known no better than a linear model is."""
     lowest, highest = limits_pu
     off_pu = max(within.v_pu, EXACT_PU) if len(state.own_v_pu) else within.v_pu
-    outside = np.maximum(lowest - row.v_pu, row.v_pu - highest)[1:]  # the slack bus is given
+    v_pu = step.v_pu[0]
+    outside = np.maximum(lowest - v_pu, v_pu - highest)[1:]  # the slack bus is given
     worst = int(np.argmax(outside))
-    return f"voltage: {row.v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""
+    return f"voltage: {v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""
 
 
 def worst_words(check: str, names: Names, excess: Floats, beyond: Floats, unit: str) -> str:

@@ -83,7 +83,7 @@ class CriticalFirst:
             carried = carry(state, first | kept, wanted_kw)
             if carried is None or carried.shortage:
                 continue
-            found = Decision(carried.dispatch, 0, SolveInfo(status="critical"))
+            found = Decision(carried, 0, SolveInfo(status="critical"))
             if not violations(found, state, self.options.within):
                 return found
         return alone

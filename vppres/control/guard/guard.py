@@ -228,15 +228,15 @@ class GuardedController:
             phased = part.island and bool(self.site.phases)
             if found is None or found.shortage or not phased:
                 return found
-            return found if carried_by_phase(part, found.dispatch) else None
+            return found if carried_by_phase(part, found) else None
 
         carried = by_part(state, as_planned_in)
         if carried is None or carried.shortage:
             return None
-        supplied = carried.dispatch.served[0] * share
+        supplied = carried.served[0] * share
         dimmed = None if plan.share is None else supplied[np.newaxis]
         decision = Decision(
-            replace(carried.dispatch, share=dimmed),
+            replace(carried, share=dimmed),
             0,
             SolveInfo(status="previous_plan"),
             fallback="previous_plan",

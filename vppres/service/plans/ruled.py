@@ -53,7 +53,7 @@ def ruled(
         if "running" in table:
             on, given_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
             state.taken_kw[kind], state.running[kind] = -given_kw, on
-    found = rule_by_part(state, now.tiers).dispatch
+    found = rule_by_part(state, now.tiers)
     columns: dict[str, dict[str, Any]] = {
         "batteries": {
             "p_kw": (found.charge_kw - found.discharge_kw)[0],
