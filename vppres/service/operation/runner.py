@@ -71,10 +71,10 @@ from vppres.service.telemetry.knowledge import (
     INSTANT,
     Grid,
     Heard,
+    Latest,
     StepInputs,
     grid_at,
     known_at,
-    soc_at,
     states_of,
 )
 from vppres.service.telemetry.learned import InSteps, learned
@@ -584,7 +584,7 @@ class Runner:
             self._feed(time)
             now = self._within.at if self._within else None
             known = known_at(time, self._controller, self.store, self.rehearsal, now)
-            self.heard = known.heard
+            self.heard = known.latest.told
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
             tables = tables_of(decision, self.scenario)
@@ -641,15 +641,14 @@ class Runner:
         now = replace(self._profile_of(time), faults=self.faults(moment))
         now = self._in_configuration(now, moment)
         left = self._left(time, known.grid if known else None)
-        soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
-        if known:
-            soc, lost = known.soc, known.lost
+        latest = known.latest if known else Latest.at(time, self.scenario, self.store)
         if not left.available:
             now = replace(now, grid_limit_kw=np.zeros(1))
+        lost = known.lost if known else {}
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
         physical = self.options.mode == "physical"
-        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []), physical)
+        tables = ruled(now, latest.soc, lost, ordered(self.scenario, self.last, []), physical)
         return ordered_plan(time, self.scenario, mode, tables, {}, left)
 
     def _closed(self, now: pd.Timestamp) -> Flags:
@@ -683,7 +682,7 @@ class Runner:
     def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
         """The plan of an operator, through the gate as any other."""
         tables = ordered(self.scenario, self.last, mode.get("setpoints", []))
-        refused = refusals(tables, self.scenario, soc_at(time, self.scenario, self.store))
+        refused = refusals(tables, self.scenario, Latest.at(time, self.scenario, self.store).soc)
         left = self._left(time, self._grid(time))
         return ordered_plan(time, self.scenario, mode, tables, refused, left)
 
