@@ -183,8 +183,8 @@ class Overview:
             "alarms": runner.watch.alarms.listed(now),
             "switching": self._switching() if runner.watch.is_switching else None,
             "events": {name: event.body for name, event in runner.store.events().items()},
-            "sources": self._sources(latest.heard, now),
-            "measured": self._measured(latest.found, now),
+            "sources": self._sources(latest.told, now),
+            "measured": self._measured([h.reading for h in latest.heard], now),
             "soc": found.soc,
             "formers": [vars(one) for one in found.formers or ()],
             "plan": self._told(plan, now, found.why_dark) if plan else None,
@@ -276,12 +276,12 @@ class Overview:
         }
         for one, _ in refused:
             found[one.source]["refused"].append(one.words)
-        for reading in heard:
-            source = found[reading.source]
-            if reading.state == "ok":
+        for h in heard:
+            source = found[h.reading.source]
+            if h.state == "ok":
                 source["ok"] += 1
             else:
-                source[reading.state].append(f"{reading.quantity} of {reading.asset}")
+                source[h.state].append(f"{h.reading.quantity} of {h.reading.asset}")
         return list(found.values())
 
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:

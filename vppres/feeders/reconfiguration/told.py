@@ -31,7 +31,7 @@ class Operation:
 
 @dataclass(frozen=True, eq=False)
 class Telling:
-    """Operations between two configurations as they are told."""
+    """Words for the operations between two configurations."""
 
     states: States  #: the states between them
     minutes: Floats  #: how long each branch takes to operate, (E,)

@@ -166,7 +166,6 @@ def situation(
     grid_on = read.value if read else math.nan
     is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, plan, scenario.grid.step, now)
-    heard = latest.heard
     physical = (mode or scenario.controller.mode) == "physical"
     return Situation(
         now,
@@ -174,7 +173,7 @@ def situation(
         plan,
         ahead_s,
         unaware_of,
-        heard,
+        latest.told,
         soc,
         is_dark,
         failing,
@@ -200,7 +199,7 @@ def failing_now(
     batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
     out = [name for kind in every().values() for name in kind.out(plan)]
     units = dict.fromkeys(out, "it does not start")
-    return {**batteries, **lost_customers(scenario, latest.found, store), **units}
+    return {**batteries, **lost_customers(scenario, latest.newest("online"), store), **units}
 
 
 def conditions(now: Situation) -> Iterator[Condition]:
@@ -436,7 +435,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 
 def _late_batteries(now: Situation) -> list[str]:
     """Batteries whose state of charge was late when the plan was made, and still is."""
-    heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
+    heard = {h.reading.asset: h.state for h in now.heard if h.reading.quantity == "soc"}
     plan = now.plan or {}
     then = {one["asset"] for one in plan.get("late", ()) if one["quantity"] == "soc"}
     names = [str(name) for name in now.scenario.batteries.id]
@@ -479,7 +478,8 @@ def _source_lost(now: Situation) -> Iterator[Condition]:
     by_source: dict[str, list[str]] = {}
     for one in now.heard:
         if one.state == "lost":
-            by_source.setdefault(one.source, []).append(f"{one.quantity} of {one.asset}")
+            read = one.reading
+            by_source.setdefault(read.source, []).append(f"{read.quantity} of {read.asset}")
     for source, names in by_source.items():
         yield Condition(
             "source_lost", source, MEDIUM, f"No data from {source}: {named(names, NAMES_SHOWN)}."

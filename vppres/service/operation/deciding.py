@@ -31,7 +31,7 @@ from vppres.service.plans.document import (
 from vppres.service.plans.gate import refusals
 from vppres.service.plans.ruled import ruled
 from vppres.service.storage.records import After
-from vppres.service.telemetry.knowledge import Grid, Heard, StepInputs, grid_at, known_at, soc_at
+from vppres.service.telemetry.knowledge import Grid, Heard, Latest, StepInputs, grid_at, known_at
 from vppres.service.telemetry.learned import learned
 
 LAST_PLAN = "last plan"
@@ -132,7 +132,7 @@ class Deciding:
             self._feed(span)
             now = span.since if span.why else None
             known = known_at(span.begin, self.controller, site.store, site.rehearsal, now)
-            self.heard = known.heard
+            self.heard = known.latest.told
             decision = self.controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
             tables = tables_of(decision, site.scenario)
@@ -150,7 +150,8 @@ class Deciding:
         """The plan of an operator, through the gate as any other."""
         site = self.site
         tables = ordered(site.scenario, site.last, mode.get("setpoints", []))
-        refused = refusals(tables, site.scenario, soc_at(span.begin, site.scenario, site.store))
+        soc = Latest.at(span.begin, site.scenario, site.store).soc
+        refused = refusals(tables, site.scenario, soc)
         left = self.left(span, self._grid(span))
         return ordered_plan(span.begin, site.scenario, mode, tables, refused, left)
 
@@ -160,15 +161,14 @@ class Deciding:
         now = replace(site.profile_of(span.begin), faults=site.faults(span.since))
         now = site.in_configuration(now, span.since)
         left = self.left(span, known.grid if known else None)
-        soc, lost = soc_at(span.begin, site.scenario, site.store), dict[str, str]()
-        if known:
-            soc, lost = known.soc, known.lost
+        latest = known.latest if known else Latest.at(span.begin, site.scenario, site.store)
+        lost = known.lost if known else {}
         if not left.available:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
         physical = site.options.mode == "physical"
-        tables = ruled(now, soc, lost, ordered(site.scenario, site.last, []), physical)
+        tables = ruled(now, latest.soc, lost, ordered(site.scenario, site.last, []), physical)
         return ordered_plan(span.begin, site.scenario, mode, tables, {}, left)
 
     def _grid(self, span: Span) -> Grid | None:

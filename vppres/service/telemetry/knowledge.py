@@ -84,13 +84,80 @@ _Powers = tuple[pd.DataFrame | None, dict[str, list[str]], list[str]]
 
 @dataclass(frozen=True)
 class Heard:
-    """How old a reading is: "ok", "stale" where it is estimated, "lost" after long silence."""
+    """A reading and its age: "ok", "stale" where it is estimated, "lost" after long silence."""
 
-    asset: str
-    quantity: str
-    source: str
+    reading: Reading
     age_s: int
     state: str
+
+    @classmethod
+    def of(cls, reading: Reading, now_s: int, step_s: int) -> Heard:
+        """A reading at a moment."""
+        held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
+        age_s = max(now_s - held, 0)
+        long_s = max(reading.resolution_s, step_s)
+        holds_s = reading.resolution_s if reading.quantity in MOVING else long_s
+        lost_s = LOST_AFTER * long_s  # an outage that was seen lasts on
+        state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
+        return cls(reading, age_s, state)
+
+    def as_told(self) -> dict[str, Any]:
+        """Age of the reading, as answers have it."""
+        named = {name: getattr(self.reading, name) for name in ("asset", "quantity", "source")}
+        return {**named, "age_s": self.age_s, "state": self.state}
+
+
+@dataclass(frozen=True, eq=False)
+class Latest:
+    """Last readings at a time, by asset and quantity, of all that was ever received."""
+
+    heard: list[Heard]
+
+    @classmethod
+    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
+        """Readings of a time, by clocks that may be a little off."""
+        step_s = round(scenario.grid.step_minutes * 60)
+        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
+        for kind in every().values():
+            found = kind.of_those_here(found)
+        return cls([Heard.of(reading, seconds(time), step_s) for reading in found])
+
+    @property
+    def told(self) -> list[Heard]:
+        """Readings whose age answers have: what is said once is never late."""
+        once = {name for kind in every().values() for name in kind.told_once}
+        return [one for one in self.heard if one.state == "ok" or one.reading.quantity not in once]
+
+    @property
+    def soc(self) -> dict[str, float]:
+        """States of charge that were read last, by battery."""
+        return {name: one.value for name, one in self.newest("soc").items()}
+
+    @property
+    def grid(self) -> Reading | None:
+        """The last reading of whether there is grid, unless it is lost; None without one."""
+        found = [one.reading for one in self._of("grid_on") if one.state != "lost"]
+        return found[0] if found else None
+
+    def now(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity by asset; NaN where it is too old, or known to be missing."""
+        found = self._of(quantity)
+        return {h.reading.asset: h.reading.value if h.state == "ok" else np.nan for h in found}
+
+    def holding(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity that hold, by asset."""
+        return {one: value for one, value in self.now(quantity).items() if np.isfinite(value)}
+
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity by asset, however old they are."""
+        return {h.reading.asset: h.reading for h in self._of(quantity) if h.reading.known}
+
+    def lost(self, quantity: str) -> set[str]:
+        """Assets that have been silent for too long."""
+        return {one.reading.asset for one in self._of(quantity) if one.state == "lost"}
+
+    def _of(self, quantity: str) -> list[Heard]:
+        return [one for one in self.heard if one.reading.quantity == quantity]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +174,9 @@ class StepInputs:
     """Inputs of a step, and readings to request ``again``."""
 
     measurement: Measurement
-    heard: list[Heard]
+    latest: Latest
     grid: Grid
     estimated: list[str]
-    soc: dict[str, float] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     again: str = ""
 
@@ -261,14 +327,13 @@ def known_at(
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     stored = Stored(scenario, time, readings, means, said.decided_at, said.plans, at, store)
-    soc = soc_of(readings.newest("soc"))
-    lost = lost_customers(scenario, readings.found, store)
-    undimmed = undimmed_customers(scenario, readings.found, store)
+    lost = lost_customers(scenario, readings.newest("online"), store)
+    undimmed = undimmed_customers(scenario, readings.newest("online"), store)
     announced = announced_kw(events, window, own_days)
     of_kinds = {n: read for kind in every().values() for n, read in kind.readings(stored).items()}
     measurement = Measurement(
         time,
-        soc=soc,
+        soc=readings.soc,
         load_kw=load_kw,
         pv_kw=pv_kw,
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
@@ -295,9 +360,8 @@ def known_at(
     estimated = [*load_words, *pv_words, *whole, *([doubt] if doubt else [])]
     again = ""
     if grid.known_by == "reading" and not grid.available:
-        zero = readings.last.get((GRID, "grid_on"))
-        again = stands_alone(zero, at, window.length, store)
-    return StepInputs(measurement, readings.heard, grid, estimated, soc, lost, again)
+        again = stands_alone(readings.grid, at, window.length, store)
+    return StepInputs(measurement, readings, grid, estimated, lost, again)
 
 
 def _of_batteries(
@@ -333,11 +397,6 @@ def _announced_and_read(
     return readings, window, events, load, grid
 
 
-def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
-    """States of charge that were read last."""
-    return soc_of(Latest.at(time, scenario, store).newest("soc"))
-
-
 def states_of(scenario: Scenario, store: Store, time: pd.Timestamp) -> dict[str, bool]:
     """Whether switches are closed, by the last reading of each that is not missing.
 
@@ -357,7 +416,7 @@ def soc_now(
     The newest alone where the plan expects nothing, as by hand.
     """
     newest = latest.newest("soc")
-    found = soc_of(newest)
+    found = latest.soc
     if expected := plan.get("expected"):
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + step
@@ -370,58 +429,6 @@ def soc_now(
                 at, value = min(moment(newest[name].time), end), found[name]
             found[name] = value + (after - start) * ((min(now, end) - at) / (end - begin))
     return found | latest.holding("soc")
-
-
-def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
-    """States of charge by battery."""
-    return {name: float(one.value) for name, one in found.items() if one.known}
-
-
-@dataclass(frozen=True, eq=False)
-class Latest:
-    """Last readings at a time."""
-
-    found: list[Reading]  #: the last ones of all that was ever received
-    heard: list[Heard]  #: how old they are
-    #: By asset and quantity; NaN where it is too old, or known to be missing.
-    values: dict[tuple[str, str], float]
-    last: dict[tuple[str, str], Reading]  #: readings that are too old too, but not lost
-
-    @classmethod
-    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
-        """Readings of a time, by clocks that may be a little off."""
-        step_s = round(scenario.grid.step_minutes * 60)
-        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
-        for kind in every().values():
-            found = kind.of_those_here(found)
-        now_s = seconds(time)
-        heard = [_heard(reading, now_s, step_s) for reading in found]
-        values = {
-            (r.asset, r.quantity): r.value if h.state == "ok" else np.nan
-            for r, h in zip(found, heard, strict=True)
-        }
-        last = {
-            (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
-        }
-        once = {name for kind in every().values() for name in kind.told_once}
-        late = [h for h in heard if h.state == "ok" or h.quantity not in once]
-        return cls(found, late, values, last)
-
-    def now(self, quantity: str) -> dict[str, float]:
-        """Readings of a quantity by asset."""
-        return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
-
-    def holding(self, quantity: str) -> dict[str, float]:
-        """Readings of a quantity that hold, by asset."""
-        return {one: value for one, value in self.now(quantity).items() if np.isfinite(value)}
-
-    def newest(self, quantity: str) -> dict[str, Reading]:
-        """The last readings of a quantity by asset, however old they are."""
-        return {one.asset: one for one in self.found if one.quantity == quantity and one.known}
-
-    def lost(self, quantity: str) -> set[str]:
-        """Assets that have been silent for too long."""
-        return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
 
 
 def _powers(quantity: str, ids: Names, window: Window, readings: Latest, store: Store) -> _Powers:
@@ -519,14 +526,13 @@ def _grid(
     contradicts it.
     """
     demand_kw = 0.0 if load_kw is None else float(load_kw.iloc[0].sum())
-    zero = readings.last.get((GRID, "grid_on"))
-    doubt = contradiction(zero, now, window.length, store, demand_kw)
+    doubt = contradiction(readings.grid, now, window.length, store, demand_kw)
     # What ended within the step is over for the rest of it.
     lasting = [one for one in events if one.said and not is_over(one.said, now)]
     limits = limits_kw(lasting, window)
     out = outages(lasting, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)
-    last = readings.last.get((GRID, "grid_on"))
+    last = readings.grid
     known_by = "profile"
     has_begun = announced_at(events, now)
     if read == 1.0 and last and has_begun and not announced_at(events, moment(last.time)):
@@ -550,17 +556,6 @@ def _grid(
         out[0] = True
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
-
-
-def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
-    """How old a reading is."""
-    held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
-    age_s = max(now_s - held, 0)
-    long_s = max(reading.resolution_s, step_s)
-    holds_s = reading.resolution_s if reading.quantity in MOVING else long_s
-    lost_s = LOST_AFTER * long_s  # an outage that was seen lasts on
-    state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
-    return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
 def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[str, dict[str, float]]:

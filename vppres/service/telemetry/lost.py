@@ -7,35 +7,32 @@ device did what it was reported after all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from vppres.scenario.scenario import Scenario
 from vppres.service.storage.records import Lost, Reading
 from vppres.service.storage.store import Store
 
-ONLINE = "online"
 DISCONNECTED = "reported as not connected"
 
 
-def lost_customers(scenario: Scenario, latest: Iterable[Reading], store: Store) -> dict[str, str]:
-    """Customers that cannot be supplied, with reasons."""
-    online = _online(scenario, latest)
-    found = {name: DISCONNECTED for name, one in online.items() if one.value == 0.0}
-    return _standing(store.lost(), scenario, online) | found
+def lost_customers(
+    scenario: Scenario, online: Mapping[str, Reading], store: Store
+) -> dict[str, str]:
+    """Customers that cannot be supplied, with reasons.
+
+    ``online`` are the last readings of who is connected, those of batteries among them.
+    """
+    ids = {str(name) for name in scenario.customers.id}
+    off = (name for name, one in online.items() if name in ids and one.value == 0.0)
+    return _standing(store.lost(), scenario, online) | dict.fromkeys(off, DISCONNECTED)
 
 
 def undimmed_customers(
-    scenario: Scenario, latest: Iterable[Reading], store: Store
+    scenario: Scenario, online: Mapping[str, Reading], store: Store
 ) -> dict[str, str]:
     """Customers that cannot be dimmed, with reasons."""
-    return _standing(store.undimmed(), scenario, _online(scenario, latest))
-
-
-def _online(scenario: Scenario, latest: Iterable[Reading]) -> dict[str, Reading]:
-    """The last reading of each customer that says whether it is connected."""
-    ids = {str(name) for name in scenario.customers.id}
-    said = (one for one in latest if one.quantity == ONLINE and one.known)
-    return {one.asset: one for one in said if one.asset in ids}
+    return _standing(store.undimmed(), scenario, online)
 
 
 def _standing(
