@@ -167,6 +167,7 @@ class Injections:
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
             "P_grid": (0.0, data.grid_p_max_kw(site)),
             "P_out": (0.0, data.export_max_kw(site)),
+            "P_beyond": (0.0, data.beyond_limit_kw),
             "P_curt": (0.0, data.pv_kw),
             "P_self": (0.0, data.pv_kw),
             "P_exp": (0.0, data.pv_kw),
