@@ -2,7 +2,7 @@
 
 Nothing holds it back: it flows to the grid beyond the limit of export, whatever is planned. A plan
 has it as a demand at the slack bus that weighs more than curtailment, so that PV power is curtailed
-and batteries charge first, and no customer is off for it. A window without such generation has none.
+and batteries charge first, and no customer is off for it. Other windows have no such demand.
 """
 
 from __future__ import annotations
