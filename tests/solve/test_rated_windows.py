@@ -72,6 +72,27 @@ def test_the_battery_that_loses_least_discharges_as_far_as_a_rating_allows() -> 
     assert found.objective == pytest.approx(1.0 + 0.01 * left_kwh, abs=1e-4)
 
 
+@pytest.mark.parametrize("loads_kw", [(10.0, 5.0), (5.0, 10.0)])
+def test_of_sets_of_as_much_service_the_network_takes_that_which_curtails_least(
+    loads_kw: tuple[float, float],
+) -> None:
+    """12 kW of sun in an island for customers of 10 and of 5 kW: one of them, and 2 kW are lost.
+
+    Either set has all the service that there can be at no cost, so that bounds on service and cost
+    say nothing of the sun that a set loses.
+    """
+    day = two_buses([[0.0, *loads_kw]], [1.0, 1.0, 1.0], [DARK])
+    day = with_pv(replace(day, network=replace(day.network, i_max_a=[100.0])), [12.0])
+    site = replace(Site.of(day), rated=True)
+    found = WindowSolver(site).solve(with_ratings(site, window(day)))
+    assert found.dispatch.pv_curtailed_kw.sum() == pytest.approx(2.0)
+    assert found.objective == pytest.approx(2.0 - 0.1 * 2.0)
+    assert found.status == Status.OPTIMAL
+    assert found.bound == pytest.approx(found.objective)
+    assert "network_service[highs]" in found.stages
+    assert not any(stage.startswith("full") for stage in found.stages)
+
+
 def test_limits_that_no_longer_move_a_solution_are_not_looked_for_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

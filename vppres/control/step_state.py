@@ -174,6 +174,11 @@ class StepState:
         return np.where(self.online, self.batteries_ahead.most_kw()[1], 0.0)
 
     @property
+    def network_to_grid_kw(self) -> float:
+        """Power that the network gives on balance, and that nothing keeps from the grid."""
+        return 0.0 if self.island else max(-float(self.drawn_kw.sum()), 0.0)
+
+    @property
     def flexible_kw(self) -> float:
         """Power that flexible units take, less what they give."""
         return float(sum(kw.sum() for kw in self.taken_kw.values()))

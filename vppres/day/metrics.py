@@ -147,10 +147,11 @@ def surplus_words(trajectory: Trajectory) -> list[str]:
     found = ~scenario.outage[: len(beyond_kw)] & (beyond_kw > SURPLUS_KW)
     if not found.any():
         return []
+    first = scenario.grid.local(scenario.grid.times[int(np.argmax(found))])
     return [
         f"Fixed generation is more than demand, batteries and the export limit take, by up to "
-        f"{beyond_kw[found].max():,.1f} kW in {counted(int(found.sum()), 'step')}: it cannot be "
-        "curtailed, and flows to the grid all the same."
+        f"{beyond_kw[found].max():,.1f} kW in {counted(int(found.sum()), 'step')}, first at "
+        f"{first:%d %b %H:%M}: it cannot be curtailed, and flows to the grid all the same."
     ]
 
 

@@ -401,6 +401,16 @@ class WindowData:
         return np.asarray(np.maximum(-self.drawn.kw.sum(axis=1), 0.0))
 
     @property
+    def beyond_limit_kw(self) -> Floats:
+        """The most of what the network gives that is beyond the limit of export, (W,).
+
+        Nothing holds it back, and the grid takes it all the same where there is one.
+        """
+        limit_kw = 0.0 if self.export is None else self.export.limit_kw
+        beyond_kw = np.maximum(self.network_gives_kw - limit_kw, 0.0)
+        return np.asarray(np.where(self.grid_limit_kw > 0.0, beyond_kw, 0.0))
+
+    @property
     def in_island(self) -> Flags:
         """Buses of islands, (W, N)."""
         return ~self.with_grid

@@ -137,7 +137,7 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
             fed_kw = fed_kw - d.taken_by(kind, units).sum(axis=1)
     return {
         "import": _most(tolerance, d.p_grid_kw - np.maximum(data.grid_limit_kw, 0.0)),
-        "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site)),
+        "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site) - data.beyond_limit_kw),
         "reactive exchange": _most(tolerance, np.abs(d.q_grid_kvar)[data.dark]),
         "circular charging": _most(tolerance, charged_kw - fed_kw),
     }

@@ -52,6 +52,10 @@ class Relaxation(ABC):
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, and a set that has it."""
 
+    def counted(self, best: Candidate) -> tuple[float, float]:
+        """Service and cost (GBP) of a dispatch, as the relaxation tells them apart."""
+        return best.service, best.terms.f2
+
     @abstractmethod
     def least_cost(self, units_min: float, everyone: bool) -> Outcome:
         """Least cost of shares of customers with so many units, in GBP.
@@ -98,9 +102,10 @@ def _least_cost(relaxation: Relaxation, best: Candidate) -> None:
     """
     known = relaxation.task.certificate
     unit = relaxation.unit
+    service, cost_gbp = relaxation.counted(best)
     needed = known.least_service_of_better()
     # Rounding must exclude no set of exactly that service.
-    admitted = max(needed, best.service - HALF_UNIT * unit)
+    admitted = max(needed, service - HALF_UNIT * unit)
     everyone = known.service_bound - admitted < WHOLE_GAP * unit
     units_min = (admitted - ROUNDING) / unit
     least = relaxation.least_cost(units_min, everyone)
@@ -115,8 +120,11 @@ def _least_cost(relaxation: Relaxation, best: Candidate) -> None:
 
     def prove(outcome: Outcome) -> None:
         """Bound F of all sets by what those cost that serve as much."""
-        known.cost_bound_gbp = max(known.cost_bound_gbp, known.least_cost_gbp(outcome))
-        as_much = known.worth(known.service_bound, known.cost_bound_gbp)
+        bound_gbp = known.least_cost_gbp(outcome)
+        # The same service has as much curtailment, which is no cost in the record.
+        same_gbp = bound_gbp - (cost_gbp - best.terms.f2)
+        known.cost_bound_gbp = max(known.cost_bound_gbp, same_gbp)
+        as_much = known.worth(known.service_bound, bound_gbp)
         known.bound_by(max(best.value, fewer, as_much))
 
     prove(least)
@@ -129,5 +137,5 @@ def _least_cost(relaxation: Relaxation, best: Candidate) -> None:
     prove(outcome)
     if served is None or (served == best.dispatch.served).all():
         return
-    if outcome.value < best.terms.f2:
+    if outcome.value < cost_gbp:
         relaxation.keep(served)

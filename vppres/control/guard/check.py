@@ -210,7 +210,7 @@ def _balance_in(step: Dispatch, state: StepState, within: Tolerances) -> str:
         losses_kw += float(at_bus_kw.clip(min=0.0).sum())
         given_kw -= float(at_bus_kw.clip(max=0.0).sum())
     short = taken - given - state.grid_limit_kw
-    surplus = given - taken - state.export_limit_kw
+    surplus = given - taken - max(state.export_limit_kw, state.network_to_grid_kw)
     # What each inverter may be off by adds up here: a plan must not pass there and fail here.
     slack_kw = within.balance_kw + within.power_kw * len(pv)
     if short > slack_kw + given_kw:

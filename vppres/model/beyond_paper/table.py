@@ -11,6 +11,7 @@ from vppres.kinds.customer.rows import DimmedDemand, LongestTimeOff, SwitchingMo
 from vppres.kinds.export.rows import ExportToGrid
 from vppres.kinds.table import parts
 from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.beyond_limit import BeyondLimit
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
@@ -28,6 +29,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
     PhysicalMode,
     ExportToGrid,
     DrawnByNetwork,
+    BeyondLimit,
     FormerPhases,
     HeldAtEnd,
     ValueAtEnd,

@@ -4,7 +4,8 @@ The paper counts the curtailed energy alone. A battery that gives power beside c
 and takes it back an hour later, loses some on the way and so has less curtailed: nothing is gained
 by it, and an outage that lasts longer finds the battery empty. Once it is known who is served, the
 demand says of each step whether PV power exceeds it and what the grid takes back: then no battery
-gives power. In an island nothing is curtailed otherwise. Without it no problem has any of this.
+gives power. In an island nothing is curtailed otherwise. Fixed generation beyond the limit of
+export counts like curtailment. Without it no problem has any of this.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.beyond_limit import beyond_limit_kw
 from vppres.model.constraints import Named
 from vppres.model.data import Unspent, WindowData
 from vppres.model.numerics import write
@@ -30,10 +32,11 @@ SPENT_KW = 1e-3
 
 
 def spent_kw(site: Site, data: WindowData, plan: Dispatch) -> Floats:
-    """Power that batteries give beside as much curtailed PV power, (W,)."""
+    """Power that batteries give beside as much that is lost, (W,)."""
     given_kw = (plan.discharge_kw - plan.charge_kw).sum(axis=1)
     curtailed_kw = plan.pv_curtailed_kw.sum(axis=1) - _beyond_inverters_kw(site, data)
-    return np.asarray(np.maximum(np.minimum(given_kw, curtailed_kw), 0.0))
+    lost_kw = curtailed_kw + beyond_limit_kw(site, data, plan)
+    return np.asarray(np.maximum(np.minimum(given_kw, lost_kw), 0.0))
 
 
 def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) -> Unspent:

@@ -10,7 +10,6 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.model.numerics import cost_scale
 from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.model.violations import POWER_TOLERANCE_REL
@@ -30,10 +29,6 @@ RESTING_SHARE = 1e-3
 
 BOTH_WAYS_KW = 1e-4
 """Import and export of the same step above which a dispatch goes on one way in each step."""
-
-
-SUN_OVER_PRICE = 10.0
-"""By how many times the highest price a kW of PV power is worth more than import in a dispatch."""
 
 
 class CheapestDispatch:
@@ -68,9 +63,6 @@ class CheapestDispatch:
         """
         watch = Stopwatch()
         program = self.network.of_set(served)
-        cost = program.cost.copy()
-        cost[self.model.at("P_curt")] += self._worth_of_sun
-        program = replace(program, cost=cost)
         solver = self.network.loaded(program)
         if kept is not None:
             self._hold(solver, self._out_of_turn(kept), 0.0)
@@ -100,18 +92,6 @@ class CheapestDispatch:
         """Of a large window whose time ran out, the last solution made to meet the discs."""
         last = self.network.unfinished if self.network.is_large else None
         return None if last is None else self.model.clipped(last, SOLVED)
-
-    @property
-    def _worth_of_sun(self) -> float:
-        """Worth of a kW of PV power in a dispatch, in GBP: more than any saving by losing it.
-
-        Without it, any dispatch would be the cheapest where nothing has a price. Beside later
-        service it is worth what F says: room for sun may be worth more than energy, or less.
-        """
-        if self.data.keeps_service:
-            return self.site.dt_h * self.site.weights.lambda_curt * cost_scale(self.site)
-        highest = np.abs(self.model.program.cost).max(initial=0.0)
-        return float(self.site.dt_h * (1.0 + SUN_OVER_PRICE * highest))
 
     def _unused(self, answer: ProgramSolution, served: Flags, charges: Flags | None) -> Wholes:
         """Columns to be left unused where a solution goes two ways at once: the lesser of each two.

@@ -74,17 +74,16 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
 
 
 def use_surplus(task: WindowTask, master: NetworkMaster) -> None:
-    """Search sets and modes for what a cut feeder curtails beyond the least, and keep the better.
+    """Search sets and modes for what a cut feeder curtails, and keep the better.
 
-    The master takes curtailment for free. A part has more PV power than it can use where its
-    batteries are full, or where it has none: there customers have to match it.
+    A part has more PV power than it can use where its batteries are full, or where it has none:
+    there customers have to match it, and the set of the most service may not.
     """
     known = task.certificate
     before = known.best
     if before is None or task.data.parts.whole or not task.goes_on:
         return
-    more_kwh = before.terms.f3 - master.least_curtailed_kwh
-    if task.site.weights.lambda_curt * more_kwh <= task.gap_to_best:
+    if task.site.weights.lambda_curt * before.terms.f3 <= task.gap_to_best:
         return
     with_modes_of_batteries(task)
     found, known.best = known.best, before

@@ -78,7 +78,8 @@ def select_devices(sheet: Sheet) -> Selection:
         parts = eliminated(sheet, parts, ("P_self", "P_exp"), by)
     found = replace(found, parts=tuple(parts), order=LETTERS)
     # Service is a set's own, but for what energy that is left buys later.
-    return found.optimise(f2=1.0, f7=-cost_scale(sheet.site))
+    gbp = cost_scale(sheet.site)
+    return found.optimise(f2=1.0, f3=gbp * sheet.site.weights.lambda_curt, f7=-gbp)
 
 
 def devices(site: Site, sheet: Sheet) -> Selected:
@@ -96,7 +97,7 @@ class Injections:
     Attributes
     ----------
     program : Program
-        Devices, rules and the sums of the balances; least cost.
+        Devices, rules and the sums of the balances; least cost, with that of curtailment.
     """
 
     def __init__(self, cache: ModelCache, data: WindowData) -> None:
@@ -166,6 +167,7 @@ class Injections:
         limits: dict[str, tuple[Floats | float, Floats | float]] = {
             "P_grid": (0.0, data.grid_p_max_kw(site)),
             "P_out": (0.0, data.export_max_kw(site)),
+            "P_beyond": (0.0, data.beyond_limit_kw),
             "P_curt": (0.0, data.pv_kw),
             "P_self": (0.0, data.pv_kw),
             "P_exp": (0.0, data.pv_kw),

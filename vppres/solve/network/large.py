@@ -17,8 +17,10 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.parts import at_items
 from vppres.scenario.network import Network
+from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.fleet.masters import fleet_master
+from vppres.solve.levels import Relaxation
 from vppres.solve.network.master import NetworkMaster, SearchState
 from vppres.solve.network.rows import limited
 from vppres.solve.programs import HALF_UNIT, NODES, PROOF, SOLVED, Program, ProgramSolution
@@ -242,12 +244,22 @@ class LargeMaster(NetworkMaster):
 
     searches_cost = False
 
+    @property
+    def _by_fleet(self) -> Relaxation | None:
+        """The fleet, which bounds the cost in one piece: rows of the network take long there."""
+        return fleet_master(self.task) if self.data.parts.whole else None
+
+    def counted(self, best: Candidate) -> tuple[float, float]:
+        """Service and cost of a dispatch as what bounds its cost tells them apart."""
+        fleet = self._by_fleet
+        return super().counted(best) if fleet is None else fleet.counted(best)
+
     def least_cost(self, units_min: float, everyone: bool) -> Outcome:
-        """Least cost without the network, whose rows in one piece take long."""
-        fleet = fleet_master(self.task)
-        if self.data.parts.whole and fleet is not None:
-            return fleet.least_cost(units_min, everyone=False)
-        return super().least_cost(units_min, everyone)
+        """Least cost without the network, or of parts in it."""
+        fleet = self._by_fleet
+        if fleet is None:
+            return super().least_cost(units_min, everyone)
+        return fleet.least_cost(units_min, everyone=False)
 
     @cached_property
     def alone(self) -> Flags:

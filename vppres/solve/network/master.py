@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
+from vppres.model.numerics import cost_scale
 from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.solve.certificate import Candidate
@@ -132,19 +133,6 @@ class NetworkMaster(Relaxation):
         root = self.root[1]
         return float(np.floor(SOLVED - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
-    @cached_property
-    def least_curtailed_kwh(self) -> float:
-        """Least PV energy that a cut feeder curtails with any schedule: all that of dead parts.
-
-        Service is searched as if curtailment were free, and a feeder in one piece seldom needs any.
-        """
-        if self.data.parts.whole:
-            return 0.0
-        columns = self.model.at("P_curt").ravel()
-        program = self.network.with_cost(columns, np.full(len(columns), self.site.dt_h))
-        found = ProgramSolution.of(self.network.loaded(program), self.deadline)
-        return max(found.bound, 0.0) if found.status == Status.OPTIMAL else 0.0
-
     @property
     def searches_cost(self) -> bool:  # type: ignore[override]
         """Whether a search for a cheaper set is worth its time.
@@ -155,7 +143,7 @@ class NetworkMaster(Relaxation):
         return self.data.phased is None or not self.task.certificate.certified
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in whole units, less what is curtailed with any schedule.
+        """Most service in whole units, as if curtailment were free: it counts with the cost.
 
         Sets are tried, at most as good as the bound says, until one is carried in full.
         """
@@ -174,9 +162,7 @@ class NetworkMaster(Relaxation):
             status = Status.OPTIMAL
         else:
             status = Status.TIME_LIMIT if deadline.passed else Status.GAP_OPEN
-        lost = self.site.weights.lambda_curt * self.least_curtailed_kwh
-        bound = known.bound - lost / self.unit
-        outcome = Outcome(status, known.most, bound, watch.spent_s, DIRECT)
+        outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
     def _close(self, known: SearchState, deadline: Deadline) -> None:
@@ -301,6 +287,11 @@ class NetworkMaster(Relaxation):
         """Which limits in the network, behind a program's rows, have a price in its solution."""
         return np.flatnonzero(linear.row_dual[len(program.lower) :])
 
+    def counted(self, best: Candidate) -> tuple[float, float]:
+        """Service of a dispatch, and its cost with that of curtailment, in GBP."""
+        curtailed = self.site.weights.lambda_curt * best.terms.f3
+        return best.service + curtailed, best.terms.f2 + cost_scale(self.site) * curtailed
+
     def least_cost(self, units_min: float, everyone: bool) -> Outcome:
         """Lower bound on the cost of all sets with so many units, in GBP.
 
@@ -326,7 +317,7 @@ class NetworkMaster(Relaxation):
         """
         watch = Stopwatch()
         x = self.model.at("x_served")
-        known_gbp = best.terms.f2
+        known_gbp = self.counted(best)[1]
         cheapest = None
         size = -1
         bound = -np.inf

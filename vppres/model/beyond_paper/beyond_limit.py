@@ -1,0 +1,91 @@
+"""Fixed generation that neither demand, batteries nor the connection may take.
+
+Nothing holds it back: it flows to the grid beyond the limit of export, whatever is planned. A plan
+has it as a demand at the slack bus that weighs more than curtailment, so that PV power is curtailed
+and batteries charge first, and no customer is off for it. Other windows have no such demand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.constraints import Named, at_slack_bus
+from vppres.model.data import WindowData
+from vppres.model.numerics import LEFT_KW, write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+
+WEIGHT = 2.0
+"""Weight of a kWh beyond the limit, in kWh of curtailment."""
+
+
+@dataclass(frozen=True, eq=False)
+class BeyondLimit(Addition):
+    """Power beyond the limit of export over W steps."""
+
+    P_beyond: cp.Variable  #: what flows to the grid beyond its limit, (W,)
+    P_beyond_max: cp.Parameter  #: the most of it that nothing can hold back, (W,)
+    dt_h: float
+
+    by_dispatch: ClassVar[tuple[str, ...]] = ("P_beyond",)
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether there is any."""
+        return bool(data.beyond_limit_kw.any()) or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Power beyond the limit in a window."""
+        W = v.P_grid.size
+        letter = cp.Variable(W, name="P_beyond", nonneg=True)
+        return cls(letter, cp.Parameter(W, name="P_beyond_max", nonneg=True), site.dt_h)
+
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """A demand at the slack bus."""
+        return {"P_added": at_slack_bus(site, self.P_beyond)}
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Nothing that can be held back is beyond the limit."""
+        return {"beyond_limit": self.P_beyond <= self.P_beyond_max}
+
+    def terms(self) -> dict[str, cp.Expression]:
+        """It counts with curtailment."""
+        return {"f3": WEIGHT * self.dt_h * cp.sum(self.P_beyond)}
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write a window's data."""
+        write(self.P_beyond_max, data.beyond_limit_kw)
+
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """Its weight; it earns nothing."""
+        beyond_kw = beyond_limit_kw(site, data, dispatch)
+        paid = data.price_gbp_per_kwh if data.export is None else data.export.price_gbp_per_kwh
+        return {
+            "f2": float(paid @ beyond_kw) * site.dt_h,
+            "f3": WEIGHT * float(beyond_kw.sum()) * site.dt_h,
+        }
+
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
+        """Power beyond the limit, known with the active power."""
+        return AdditionDispatch({"P_beyond": beyond_limit_kw(site, data, dispatch)})
+
+    def read(self, found: Dispatch) -> Dispatch:
+        """The dispatch with all that the grid takes."""
+        value = np.asarray(self.P_beyond.value, dtype=float)
+        return replace(found, p_grid_kw=found.p_grid_kw - np.where(value < LEFT_KW, 0.0, value))
+
+
+def beyond_limit_kw(site: Site, data: WindowData, dispatch: Dispatch) -> Floats:
+    """Power of a dispatch beyond the limit of export, (W,)."""
+    beyond_kw = -dispatch.p_grid_kw - data.export_max_kw(site)
+    return np.asarray(np.clip(beyond_kw, 0.0, data.beyond_limit_kw))
