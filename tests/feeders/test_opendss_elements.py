@@ -585,6 +585,25 @@ def test_a_fuse_stays_as_the_solution_leaves_it(tmp_path: Path) -> None:
     assert apart(import_network(file), file) < CLOSE_PU
 
 
+@pytest.mark.parametrize("action", ["open", "close"])
+def test_an_action_of_a_fuse_is_its_state(action: str, tmp_path: Path) -> None:
+    """OpenDSS itself writes past the end of an array for it, and may end."""
+    fuse = "new fuse.f monitoredobj=line.sp ratedcurrent=99 state=[open closed closed] {}"
+    feeder, state = (
+        import_network(written(tmp_path, (*BASE, SPUR, *AT_E, fuse.format(each))))
+        for each in (f"action={action}", f"state=[{' '.join([action] * 3)}]")
+    )
+    assert own_voltages(feeder) == own_voltages(state)
+    assert ("e.1" in own_voltages(state)) == (action == "close")
+
+
+def test_an_end_of_opendss_is_told_with_its_place(tmp_path: Path) -> None:
+    lines = (*BASE, "new line.x phases=1000000 bus1=b bus2=e")
+    assert refusal(import_network, written(tmp_path, lines)).startswith(
+        'odd.dss: OpenDSS itself ends by signal 11 at \'new "line.x" phases=1000000'
+    )
+
+
 @pytest.mark.daily
 def test_a_battery_in_wye_where_nothing_is_grounded(tmp_path: Path) -> None:
     """OpenDSS finds no number for what it draws at rest: that of IEEE 9500."""

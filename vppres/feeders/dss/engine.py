@@ -23,7 +23,7 @@ from vppres.feeders.dss.elements import (
     text_of,
 )
 from vppres.feeders.dss.nodes import beside, reached
-from vppres.feeders.dss.refused import RefusedLine
+from vppres.feeders.dss.refused import RefusedLine, cut
 from vppres.feeders.dss.tables import (
     ADMITTANCE,
     BRANCHES,
@@ -34,6 +34,7 @@ from vppres.feeders.dss.tables import (
     single_phases,
     tables,
 )
+from vppres.feeders.strangers.child import tell
 
 # Classes that carry no power, and those that have a counterpart here.
 _CONTROLS = """
@@ -206,12 +207,14 @@ def build(job: dict[str, Any]) -> tuple[Circuit, Problems]:
     circuit.left_out = tuple(commands.left_out)
     dss.Text.Command("clear")
     for i, text in texts:
+        tell(cut(text))
         if text and (no_circuit := _carried_out(circuit, text, commands.elements.get(i, ""))):
             return circuit, [wrong(no_circuit, CURE, i)]
     if "calcvoltagebases" not in [text for _, text in texts]:
         for text in ("makebuslist", "calcvoltagebases"):
             if no_circuit := _carried_out(circuit, text):
                 return circuit, [wrong(no_circuit, CURE)]
+    tell("the finished circuit")
     circuit.find()
     if commands.named_levels:
         _fit_levels(circuit)
