@@ -114,6 +114,8 @@ class Circuit:
 
     def joined(self) -> list[tuple[Node, Node]]:
         """Nodes that conductors of the active element join, those that are closed at both ends."""
+        if dss.CktElement.NumTerminals() < 2:  # a delta of capacitors
+            return []
         ends, n = [self.held_by(end) for end in nodes_of()], dss.CktElement.NumConductors()
         first, second = shut()[:2]
         kept = [
@@ -300,7 +302,7 @@ class Winding(Side):
         self.kv = self.rated_kv / (np.sqrt(3) if phases > 1 and not self.delta else 1.0)
         self.tap = float(dss.Transformers.Tap())
         self.r_pct = float(dss.Transformers.R())
-        x_pct = float(dss.Transformers.Xhl())
+        x_pct = reactances()[0]
         if dss.Transformers.NumWindings() > 2:
             x_pct = _of_star(number)
             x_pct = x_pct if abs(x_pct) + self.r_pct > LEAST_PCT else LEAST_PCT
@@ -309,11 +311,19 @@ class Winding(Side):
         self.kva = float(dss.Transformers.kVA())
 
 
+def reactances() -> list[float]:
+    """Of the active transformer between each two windings, 1-2 first, in percent.
+
+    By ``xscarray``: what is given by it, ``xhl`` and the like do not show.
+    """
+    return [float(x) for x in str(dss.Properties.Value("xscarray")).strip("[] ").split()]
+
+
 def _of_star(number: int) -> float:
     """Reactance of a leg of the active transformer's star in percent."""
-    xhl, xht, xlt = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
+    xhl, xht, xlt = reactances()
     twice = {1: xhl + xht - xlt, 2: xhl + xlt - xht, 3: xht + xlt - xhl}[number]
-    return float(twice) / 2.0
+    return twice / 2.0
 
 
 class ServiceTransformer:

@@ -20,6 +20,8 @@ from vppres.feeders.dss.elements import (
     nodes_of,
     number,
     power_drawn,
+    reactances,
+    shut,
     text_of,
 )
 from vppres.feeders.dss.nodes import beside, reached
@@ -53,6 +55,9 @@ MOST_TOLD = 200
 CURE = "Correct the file until OpenDSS solves it."
 SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
+
+NO_MATRIX = "(#183)"
+"""Of an error after which there is nothing to read."""
 
 CONTROLS_OFF = -1
 TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
@@ -234,7 +239,7 @@ def _carried_out(circuit: Circuit, text: str, element: str = "") -> str:
         if element.partition(".")[0] in CONTROLS:
             circuit.refused[element] = told(error)
             dss.Circuit.Disable(element)
-        elif text not in SOLVES:
+        elif text not in SOLVES or told(error).startswith(NO_MATRIX):
             return f"OpenDSS refuses the file ({told(error)})"
     return ""
 
@@ -277,6 +282,19 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
             f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
         )
+    if kind == "vsource" and dss.CktElement.NumPhases() != THREE_PHASES:
+        return wrong(
+            f"{element} has {dss.CktElement.NumPhases()} of three phases",
+            "Give it three, and leave those out of the circuit that are not used.",
+        )
+    if kind in BRANCHES and _joins_phases(circuit):
+        return wrong(
+            f"{element} joins conductors at one node", "Give each a node of its own at both ends."
+        )
+    if kind in ("vsource", "transformer", *POWERS) and _partly_open():
+        return wrong(
+            f"{element} has an open conductor", "Write it with those that are closed instead."
+        )
     if kind == "load" and dss.Solution.Year() and (shape := text_of(element, "growth").lower()):
         return wrong(
             f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
@@ -292,13 +310,25 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
                 f"{element} has {count} windings{where}",
                 "Replace it by transformers with two windings, or with three at three buses.",
             )
-        reactances = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
-        if NO_REACTANCE in reactances[: 3 if name in circuit.stars else 1]:
+        if NO_REACTANCE in reactances()[: 3 if name in circuit.stars else 1]:
             return wrong(
                 f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def _joins_phases(circuit: Circuit) -> bool:
+    """Whether conductors of the active element between two buses end at one node."""
+    pairs = [pair for pair in circuit.joined() if pair[0][0] != pair[1][0]]
+    return any(len({*ends}) < len(ends) for ends in zip(*pairs, strict=True))
+
+
+def _partly_open() -> bool:
+    """Whether a conductor of the active element is open; of transformers whole ends may be."""
+    ends = [end[: dss.CktElement.NumPhases()] for end in shut()]
+    whole = dss.CktElement.Name().lower().startswith("transformer.")
+    return any(not all(end) and (any(end) or not whole) for end in ends)
 
 
 def named_once(words: list[str]) -> str:

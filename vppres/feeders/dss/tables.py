@@ -56,13 +56,14 @@ Table = list[dict[str, Any]]
 
 def tables(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """All elements that carry power, and the buses that they are at."""
+    transformers = list(_transformers(circuit))
     return {
         "name": dss.Circuit.Name(),
         "frequency_hz": dss.Solution.Frequency(),
         "buses": [_bus(bus, circuit) for bus in dss.Circuit.AllBusNames()] + _stars(circuit),
         "source": _source(circuit),
-        "branches": list(_branches(circuit)),
-        "transformers": list(_transformers(circuit)),
+        "branches": [*_branches(circuit), *_with_an_open_end(transformers)],
+        "transformers": transformers,
         "powers": list(_powers(circuit, solved)),
         "neutrals": _neutrals(circuit),
     }
@@ -225,6 +226,7 @@ def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
             "nodes": at,
             "carried_a": carried_a,
             "windings": windings,
+            "closed": bool(star) or len(buses_of(nodes)) == 2,
             "star": star,
             "on_star": on_star,
             "live": nodes,
@@ -234,6 +236,16 @@ def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
             "no_load_percent": number(element, "%noloadloss"),
             "magnetising_percent": number(element, "%imag"),
         }
+
+
+def _with_an_open_end(transformers: Table) -> Iterator[dict[str, Any]]:
+    """Transformers that join no buses: their cores, at the bus that they are still at."""
+    for one in transformers:
+        if not one["closed"]:
+            nodes = one["live"]
+            rest = [[bus, [node for _, node in nodes], one["y"]] for bus in buses_of(nodes)]
+            at = {"element": one["element"], "name": one["name"], "nodes": nodes}
+            yield at | {"pairs": [], "z": None, "rest": rest}
 
 
 def _winding(own: Winding) -> dict[str, Any]:
