@@ -428,6 +428,7 @@ def test_a_loop_of_buses_that_is_none_of_conductors_loses_no_load(tmp_path: Path
     """Phases a and c go from b to e by two ways; a true loop beside them is opened and told."""
     way = "new line.{0} phases=1 bus1={1} bus2={2} r1=.3 x1=.4 r0=.3 x0=.4 c1=0 c0=0 length=1"
     ways = [way.format(*each.split()) for each in ("a b.1 x.1", "a2 x.1 e.1", "c b.3 e.3")]
+    ways.append("new capacitor.d bus1=b kv=4.16 kvar=20 conn=delta")
     feeder = import_network(written(tmp_path, (*BASE, *ways, *AT_E)), open_loops=True)
     assert feeder.phased is not None and feeder.phased.difference_pu is not None
     assert feeder.phased.difference_pu < CLOSE_PU
