@@ -81,12 +81,12 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
     if found["problems"]:
         raise InputError(located(found["problems"], script, path.name))
     net, ids = _build(found)
-    notes = (*script.notes, *found["balanced_notes"], *found["notes"])
-    if by_phase and found["single_phases"]:
-        notes = (*script.notes, *found["notes"])
+    few = _single_phases(found)
+    on_balance = () if by_phase and few else _notes_on_balance(*few.get("line", (0, 0)))
+    notes = (*script.notes, *on_balance, *found["notes"])
     flow = OpenDSSFlow(job, path.name, found, time_limit_s)
     notes += tuple(_told_shapes(found["shapes"]))
-    return net, ids, notes, _phase_powers(found), flow, tuple(_profiles(net, found, path.name))
+    return net, ids, notes, _phase_powers(found, few), flow, tuple(_profiles(net, found, path.name))
 
 
 def _profiles(net: Any, found: dict[str, Any], where: str) -> Iterator[Profile]:
@@ -277,9 +277,41 @@ class OpenDSSFlow:
         return {i: float(np.mean(values)) for i, values in at.items()}
 
 
-def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
+def _single_phases(found: dict[str, Any]) -> dict[str, tuple[int, int]]:
+    """Of each kind, how many elements have fewer than three phases, and how many there are.
+
+    A line that is open as a whole has all of its phases.
+    """
+    counts: dict[str, list[int]] = {"line": [], "transformer": []}
+    for row in found["branches"]:
+        if row["element"].startswith("line."):
+            own = row["pairs"] or (row["z"] and row["z"]["re"]) or row["nodes"]
+            counts["line"].append(len(own))
+    for row in found["transformers"]:
+        counts["transformer"].append(min(row["phases"], len(row["nodes"]) or PHASE_COUNT))
+    for row in found["powers"]:
+        own = min(len(row["coils"]), len(row["nodes"]) or PHASE_COUNT)
+        counts.setdefault(row["kind"], []).append(own)
+    few = {kind: sum(count < PHASE_COUNT for count in own) for kind, own in counts.items()}
+    return {kind: (few[kind], len(own)) for kind, own in counts.items() if few[kind]}
+
+
+def _notes_on_balance(few: int, lines: int) -> Iterator[str]:
+    """Notes on the simplifications of the balanced equivalent."""
+    yield (
+        "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
+        "of single phases count as spread over three. Voltages are compared with the mean of the "
+        "phases in OpenDSS's own solution of the circuit as it is."
+    )
+    if few:
+        yield (
+            f"{few} of {lines} lines have fewer than three phases; their impedance is "
+            "raised so that drop and losses are those of the phases that they have."
+        )
+
+
+def _phase_powers(found: dict[str, Any], counts: dict[str, tuple[int, int]]) -> PhasePowers | None:
     """Power of the loads less that of generators on each phase, by bus."""
-    counts = found["single_phases"]
     if not counts:
         return None
     words = [f"{few} of {count} {kind}s" for kind, (few, count) in counts.items()]

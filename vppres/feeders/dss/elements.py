@@ -93,9 +93,14 @@ class Circuit:
         here = [sign * volts[node] for node, sign in signs.items() if node in volts]
         return complex(sum(here) * 2.0 / max(len(here), 1))
 
-    def legs_pu(self, bus: str) -> float:
-        """Voltage between the legs of a bus as a share of the nominal one."""
-        return abs(self.from_leg_to_leg(bus)) / (2.0 * V_PER_KV * float(dss.Bus.kVBase()))
+    def volts(self) -> dict[str, complex]:
+        """Voltage of each node to ground in the solution, of two legs from one to the other."""
+        flat = np.asarray(dss.Circuit.AllBusVolts())
+        names = [name.lower() for name in dss.Circuit.AllNodeNames()]
+        found = dict(zip(names, (flat[::2] + 1j * flat[1::2]).tolist(), strict=True))
+        alone = {node: v for node, v in found.items() if node.rpartition(".")[0] not in self.legs}
+        legs = self.legs.items()
+        return alone | {f"{bus}.{phase}": self.from_leg_to_leg(bus) for bus, (phase, _) in legs}
 
     def admittance(self) -> tuple[list[Node], Any]:
         """Nodes that the active element connects, in the order of its conductors, and their matrix.
@@ -277,10 +282,11 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
 
 @dataclass
 class Side:
-    """One side of a transformer: its bus, the voltage across a coil, its tap and its rating."""
+    """One side of a transformer: its bus, the voltage across a coil, its ends, tap and rating."""
 
     bus: str
     kv: float
+    ends: list[Node]
     tap: float = 1.0
     kva: float = 0.0
 
@@ -326,28 +332,22 @@ def _of_star(number: int) -> float:
     return twice / 2.0
 
 
-class ServiceTransformer:
-    """The active transformer with its middle at ground, as one with two windings.
+def service(circuit: Circuit, nodes: list[Node], y: Any) -> tuple[list[Side], complex]:
+    """Both sides of the active transformer, its middle at ground, and their impedance in percent.
 
-    ``y`` is its matrix between its primary and both legs, from which its impedance follows.
+    That follows from its matrix between its primary and both legs.
     """
-
-    def __init__(self, circuit: Circuit) -> None:
-        name = dss.CktElement.Name().partition(".")[2]
-        self.nodes, self.y = circuit.admittance()
-        self.ends = [circuit.held_by(end)[0] for end in nodes_of()[:3]]
-        dss.Transformers.Name(name)
-        self.windings = []
-        for winding in (1, 2):
-            dss.Transformers.Wdg(winding)
-            kv, tap = float(dss.Transformers.kV()) * winding, float(dss.Transformers.Tap())
-            self.windings.append(Side(self.ends[2 * winding - 2][0], kv, tap))
-        dss.Transformers.Wdg(1)
-        self.windings[0].kva = float(dss.Transformers.kVA())
-        first = self.nodes.index(next(node for node in self.nodes if node[0] not in circuit.legs))
-        last = next(i for i, node in enumerate(self.nodes) if node[0] in circuit.legs)
-        kv2 = self.windings[0].kv * self.windings[1].kv
-        ohm_pct = 100.0 * self.windings[0].kva * VA_PER_KVA / (V_PER_KV**2 * kv2)
-        taps = self.windings[0].tap * self.windings[1].tap
-        z = complex(ohm_pct / (-self.y[first, last] * taps))
-        self.percent = z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite
+    ends = [circuit.held_by(end)[0] for end in nodes_of()[:3]]
+    dss.Transformers.Name(dss.CktElement.Name().partition(".")[2])
+    sides = []
+    for winding, own in ((1, ends[:2]), (2, ends[2:])):
+        dss.Transformers.Wdg(winding)
+        kv, tap = float(dss.Transformers.kV()) * winding, float(dss.Transformers.Tap())
+        sides.append(Side(own[0][0], kv, own, tap))
+    dss.Transformers.Wdg(1)
+    kva = sides[0].kva = float(dss.Transformers.kVA())
+    first = nodes.index(next(node for node in nodes if node[0] not in circuit.legs))
+    last = next(i for i, node in enumerate(nodes) if node[0] in circuit.legs)
+    ohm_pct = 100.0 * kva * VA_PER_KVA / (V_PER_KV**2 * sides[0].kv * sides[1].kv)
+    z = complex(ohm_pct / (-y[first, last] * sides[0].tap * sides[1].tap))
+    return sides, z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite

@@ -33,7 +33,6 @@ from vppres.feeders.dss.tables import (
     DEFAULT_AMPS,
     POWERS,
     THREE_PHASES,
-    single_phases,
     tables,
 )
 from vppres.feeders.strangers.child import tell
@@ -91,8 +90,6 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "shapes": _shapes(circuit),
         "causes": list(_causes(circuit)),
         "beyond": list(beyond(circuit)) if solved else [],
-        "single_phases": single_phases(circuit),
-        "balanced_notes": list(_notes_on_balance(circuit)),
         "notes": list(_notes(circuit)),
     }
 
@@ -168,11 +165,10 @@ def _voltages(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """
     if not solved:
         return {"v_pu": {}, "losses_kw": None}
-    names = [name.lower() for name in dss.Circuit.AllNodeNames()]
-    found = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
-    legs = circuit.legs
-    found = {name: v for name, v in found.items() if name.rpartition(".")[0] not in legs}
-    found |= {f"{bus}.{phase}": circuit.legs_pu(bus) for bus, (phase, _) in legs.items()}
+    found = {
+        node: abs(v) / (circuit.base_kv(node.rpartition(".")[0]) * V_PER_KV / np.sqrt(3))
+        for node, v in circuit.volts().items()
+    }
     return {"v_pu": found, "losses_kw": _losses_kw(circuit)}
 
 
@@ -494,21 +490,6 @@ def _minutes() -> float:
         return minutes
     apart = 60.0 * np.diff(np.asarray(dss.LoadShape.TimeArray(), dtype=float))
     return float(apart[0]) if len(apart) and np.allclose(apart, apart[0]) else 0.0
-
-
-def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
-    """Notes on the simplifications of the balanced equivalent."""
-    yield (
-        "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
-        "of single phases count as spread over three. Voltages are compared with the mean of the "
-        "phases in OpenDSS's own solution of the circuit as it is."
-    )
-    few, count = single_phases(circuit).get("line", (0, 0))
-    if few:
-        yield (
-            f"{few} of {count} lines have fewer than three phases; their impedance is "
-            "raised so that drop and losses are those of the phases that they have."
-        )
 
 
 def _notes(circuit: Circuit) -> Iterator[str]:
