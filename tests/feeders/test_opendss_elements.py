@@ -562,6 +562,43 @@ def test_both_legs_of_a_service_transformer_are_one_node(
     assert {"coven", "cleft", "cright"} < {str(each) for each in new_scenario(feeder).customers.id}
 
 
+def test_a_service_transformer_that_is_open(tmp_path: Path) -> None:
+    """What is behind it has no voltage that says its level."""
+    lines = tuple(line.replace("{left}", "3") for line in SERVICE)
+    file = written(tmp_path, (*lines[:-3], "open transformer.tr(b-h) 1", *lines[-3:]), "")
+    feeder = import_network(file)
+    assert apart(feeder, file) < CLOSE_PU
+    assert "Without supply or out of service, and left out: bus h, home." in feeder.notes
+
+
+CAUSES = {
+    "legs that are not alike": (
+        tuple(line.replace("{left}", "0").replace("wdg=3", "wdg=3 %r=9") for line in SERVICE),
+        "both legs behind a service transformer count as one, but differ at 2 buses",
+    ),
+    "PV below its limit": (
+        (*BASE, "new pvsystem.p bus1=b kv=5 kva=90 pmpp=80 vminpu=.95", *TAIL.split("\n")),
+        "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_what_the_feeder_has_not_is_named_as_the_cause(name: str, tmp_path: Path) -> None:
+    lines, cause = CAUSES[name]
+    phased = import_network(written(tmp_path, lines, "")).phased
+    assert phased is not None and phased.difference_pu is not None
+    assert phased.difference_pu > CLOSE_PU
+    assert [each for each in phased.causes if each.startswith(cause)]
+
+
+def test_controls_that_do_not_come_to_rest_are_told(tmp_path: Path) -> None:
+    control = "new capcontrol.h capacitor=h element=line.l terminal=1 type=pf on=.98 off=-.98"
+    lines = (*BASE, "new capacitor.h bus1=b kv=4.16 kvar=100", control)
+    notes = import_network(written(tmp_path, lines)).notes
+    assert any(note.startswith("OpenDSS's controls do not come to rest") for note in notes)
+
+
 def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:
     """Of a feeder with phases and of a balanced one; PV gives what its panels do at the shape."""
     (tmp_path / "Day.csv").write_text("\n".join(f"{hour / 100}" for hour in range(24)))
@@ -709,6 +746,16 @@ REFUSED = {
     "source of two phases": (
         (HEAD.replace("bus1=s", "bus1=s.1.2 phases=2"), *BASE[1:]),
         "vsource.source has 2 of three phases",
+    ),
+    "legs that are not alike": (
+        tuple(line.replace("{left}", "1").replace("wdg=3", "wdg=3 tap=1.05") for line in SERVICE),
+        "transformer.tr(b-h) has 3 windings at b and h",
+    ),
+    "a phase beside two legs": (
+        (*(line.replace("{left}", "1") for line in SERVICE[:-3]),
+         "new transformer.v phases=1 windings=2 buses=(b.2 h.2.3) conns=(wye delta) kvs=(2.4 .24)",
+         *SERVICE[-3:]),
+        "transformer.v is at node 3 of bus h, behind a transformer whose middle is at ground",
     ),
     "line of no length": (
         (*BASE, "new line.g bus1=b bus2=e r1=.3 x1=.5 length=0", *AT_E),

@@ -424,7 +424,7 @@ def _of_two_windings(one: dict[str, Any], kv: dict[str, float]) -> Iterator[dict
         **one,
         "start": windings[0]["bus"],
         "end": windings[1]["bus"],
-        "kv": [_in_use_kv(each, kv) for each in windings],
+        "kv": [_in_use_kv(each, kv) for each in windings[:2]],
         "kva": windings[0]["kva"],
         "r_percent": sum(each["r_percent"] for each in windings),
         "x_percent": windings[0]["x_percent"],

@@ -28,6 +28,7 @@ class Circuit:
     """The engine's circuit: its elements, and those that are something else here."""
 
     ends_solved: bool = False  #: whether the script's last command has solved it
+    settled: bool = True  #: whether its controls come to rest
     at_rest: bool = False  #: whether what storage draws at rest is left out of its solution
     #: Options of ``set`` that the script has and OpenDSS did not get.
     left_out: tuple[str, ...] = ()
@@ -267,13 +268,13 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
     if dss.Transformers.NumWindings() != 3 or dss.CktElement.NumPhases() != 1:
         return None
     ends = nodes_of()
-    kv = []
+    turns = []
     for winding in (2, 3):
         dss.Transformers.Wdg(winding)
-        kv.append(float(dss.Transformers.kV()))
+        turns.append((float(dss.Transformers.kV()), float(dss.Transformers.Tap())))
     (bus, first), (_, back), (other, forth), (_, second) = ends[2:6]
     phases = [node for _, node in ends[:2] if node in PHASES]
-    if bus != other or kv[0] != kv[1] or not phases:
+    if bus != other or turns[0] != turns[1] or not phases:
         return None
     if back == 0 and forth == 0 and first != second and 0 not in (first, second):
         return phases[0], bus, {first: 1.0, second: -1.0}

@@ -55,6 +55,7 @@ CURE = "Correct the file until OpenDSS solves it."
 SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
 
+UNLIKE_PU = 1e-3
 NO_MATRIX = "(#183)"
 """Of an error after which there is nothing to read."""
 
@@ -74,7 +75,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     circuit, problems = build(job)
     if problems:
         return {"problems": problems}
-    settled(circuit)
+    circuit.settled = settled(circuit)
     disabled = job.get("disabled", [])
     kept = _needed(disabled, circuit) if job.get("keep") else []
     for element in disabled:
@@ -89,7 +90,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         **tables(circuit, solved),
         "shapes": _shapes(circuit),
         "causes": list(_causes(circuit)),
-        "beyond": list(beyond(circuit)) if solved else [],
+        "beyond": list(_beyond(circuit)) if solved else [],
         "notes": list(_notes(circuit)),
     }
 
@@ -273,6 +274,13 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
         )
     dss.Circuit.SetActiveElement(element)
+    for bus, node in nodes_of():
+        if node and bus in circuit.legs and node not in circuit.legs[bus][1]:
+            return wrong(
+                f"{element} is at node {node} of bus {bus}, behind a transformer whose middle is "
+                "at ground, where there are two legs alone",
+                "Put it at the legs or at ground (node 0).",
+            )
     if kind == "vsource" and any(node for _, node in nodes_of()[dss.CktElement.NumConductors() :]):
         return wrong(
             f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
@@ -362,13 +370,13 @@ def _fit_levels(circuit: Circuit) -> None:
     levels = [float(kv) for kv in dss.Settings.VoltageBases()]
     beside = circuit.beside()
     for element, bus, rated_kv, _ in list(_ratings(circuit)):
-        own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
+        legs = 2.0 if bus in circuit.legs else 1.0
+        own = [legs * kv for kv in levels if _fits(rated_kv, legs * kv, TOLERANCE)]
         level = circuit.base_kv(bus)
         if element.startswith("transformer.") and own and not _fits(rated_kv, level):
             level = own[0]
         for each in reached(bus, beside):
             if abs(circuit.base_kv(each) - level) > TOLERANCE * level:
-                legs = 2.0 if each in circuit.legs else 1.0
                 dss.Text.Command(f'setkvbase bus="{each}" kvll={level / legs:.17g}')
                 circuit.moved[each] = level
 
@@ -429,7 +437,14 @@ def _causes(circuit: Circuit) -> Iterator[list[Any]]:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
 
 
-def beyond(circuit: Circuit) -> Iterator[list[Any]]:
+def _beyond(circuit: Circuit) -> Iterator[list[Any]]:
+    """What the solution has that no feeder here has."""
+    yield from _loads_beyond(circuit)
+    yield from _others_beyond(circuit)
+    yield from _unlike_legs(circuit)
+
+
+def _loads_beyond(circuit: Circuit) -> Iterator[list[Any]]:
     """Loads whose voltage in the solution is one at which OpenDSS takes another model for them.
 
     An impedance stays one.
@@ -451,6 +466,44 @@ def beyond(circuit: Circuit) -> Iterator[list[Any]]:
             "loads outside their vminpu and vmaxpu in the source's solution, where OpenDSS gives "
             f"them a constant impedance, so that they draw {drawn_kw:.4g} kW instead of "
             f"{kw:.4g} kW: {_first(found)}",
+        ]
+
+
+def _others_beyond(circuit: Circuit) -> Iterator[list[Any]]:
+    """Generation and batteries whose voltage is one at which OpenDSS makes impedances of them."""
+    found: dict[str, float] = {}
+    for kind in POWERS[1:]:
+        for name in circuit.of(kind):
+            element = f"{kind}.{name}"
+            delta = text_of(element, "conn").lower() in ("delta", "ll")
+            kv, least, most = (number(element, each) for each in ("kv", "vminpu", "vmaxpu"))
+            kv /= 1.0 if delta or dss.CktElement.NumPhases() == 1 else np.sqrt(3)
+            pu = [v / (kv * V_PER_KV) for v in coil_volts(delta)]
+            if min(pu) < least or max(pu) > most:
+                found[f"{element} ({min(pu):.3f} pu)"] = abs(power_drawn().real)
+    if found:
+        yield [
+            sum(found.values()),
+            "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes "
+            f"impedances: {_first(found)}",
+        ]
+
+
+def _unlike_legs(circuit: Circuit) -> Iterator[list[Any]]:
+    """Service transformers whose legs have voltages of their own, which are one here."""
+    found = {}
+    for bus, (_, signs) in circuit.legs.items():
+        dss.Circuit.SetActiveBus(bus)
+        v = dict(zip(dss.Bus.Nodes(), dss.Bus.puVmagAngle()[::2], strict=True))
+        legs = [v[node] for node in signs if node in v]
+        if max(legs) - min(legs) > UNLIKE_PU:
+            found[bus] = max(legs) - min(legs)
+    if found:
+        worst = max(found, key=lambda bus: found[bus])
+        yield [
+            0.0,
+            f"both legs behind a service transformer count as one, but differ at {len(found)} "
+            f"buses, by up to {found[worst]:.2g} pu at bus {worst}",
         ]
 
 
@@ -503,6 +556,8 @@ def _notes(circuit: Circuit) -> Iterator[str]:
             f"Bus {bus} has {kv:g} kV, by the rating of its transformer: OpenDSS takes another "
             "level of 'voltagebases' for it."
         )
+    if not circuit.settled:
+        yield "OpenDSS's controls do not come to rest: they stay where its last solution has them."
     unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in circuit.of("line")]
     if any(unrated):
         yield (

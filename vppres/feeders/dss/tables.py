@@ -209,7 +209,7 @@ def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
         phases, carried_a, at = dss.CktElement.NumPhases(), _carried_a(), circuit.phases()
         numbers = range(1, 1 + dss.Transformers.NumWindings())
         windings = [*map(_winding, map(Winding, numbers))]
-        if in_halves:
+        if in_halves and len(buses_of(nodes)) == 2:
             sides, percent = service(circuit, nodes, y)
             windings = [*map(_side, sides, (percent, 0j))]
         star, on_star = circuit.stars.get(name, ("", ()))
