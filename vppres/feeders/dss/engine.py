@@ -438,7 +438,7 @@ def _causes(circuit: Circuit) -> Iterator[list[Any]]:
 
 
 def _beyond(circuit: Circuit) -> Iterator[list[Any]]:
-    """What the solution has that no feeder here has."""
+    """Causes of differences that the solution has, with the power that they affect in kW."""
     yield from _loads_beyond(circuit)
     yield from _others_beyond(circuit)
     yield from _unlike_legs(circuit)
