@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,13 @@ ODD: dict[str, tuple[str, ...]] = {
         *LOADS,
         AT_D,
     ),
+    "reactances in an array": (
+        HEAD,
+        THREE_WINDINGS.replace("xhl=7.5 xht=36 xlt=28", "xscarray=(7.5 36 28)"),
+        LINE,
+        *LOADS,
+        AT_D,
+    ),
     "units with three windings": (HEAD, *UNITS, LINE, *LOADS, AT_D),
     "neutral behind a reactor": (
         HEAD,
@@ -167,6 +175,11 @@ ODD: dict[str, tuple[str, ...]] = {
         *BASE,
         "new reactor.r bus1=b bus2=e z1=[.1 .3] z2=[.1 .3] z0=[.4 .9]",
         *AT_E,
+    ),
+    "transformer that is open at one end": (
+        *BASE,
+        BANK.replace("transformer.t", "transformer.u") + " %noloadloss=.6 %imag=3",
+        "open transformer.u 1",
     ),
     "core": (HEAD, f"{BANK} %noloadloss=.6 %imag=1.2", LINE, *LOADS),
     "core of single units": (
@@ -298,6 +311,17 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
     assert apart(feeder, file) < CLOSE_PU
 
 
+THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
+
+
+@pytest.mark.parametrize("more", ["%noloadloss=1 %imag=2 wdg=2 tap=1.05", "xscarray=[3]"])
+def test_transformers_of_balanced_feeders_are_those_of_opendss(more: str, tmp_path: Path) -> None:
+    file = written(tmp_path, (HEAD, f"{BANK} {more}", LINE, THREE))
+    feeder = import_network(file)
+    assert feeder.phased is None
+    assert apart(feeder, file) < CLOSE_PU
+
+
 OUT_OF_LIMITS: dict[str, tuple[tuple[str, ...], str]] = {
     "kv between lines at one phase": (
         (*BASE, "new load.e bus1=b.3 phases=1 kv=4.16 kw=30"),
@@ -343,7 +367,6 @@ def test_a_feeder_without_a_solution_of_its_own_is_refused(tmp_path: Path) -> No
     assert NO_SOLUTION in notes
 
 
-THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
 EVEN: dict[str, tuple[str, ...]] = {
     "three windings": (
         f"{THREE_WINDINGS} wdg=2 tap=1.01 %imag=.7 %noloadloss=.2",
@@ -405,6 +428,7 @@ def test_a_loop_of_buses_that_is_none_of_conductors_loses_no_load(tmp_path: Path
     """Phases a and c go from b to e by two ways; a true loop beside them is opened and told."""
     way = "new line.{0} phases=1 bus1={1} bus2={2} r1=.3 x1=.4 r0=.3 x0=.4 c1=0 c0=0 length=1"
     ways = [way.format(*each.split()) for each in ("a b.1 x.1", "a2 x.1 e.1", "c b.3 e.3")]
+    ways.append("new capacitor.d bus1=b kv=4.16 kvar=20 conn=delta")
     feeder = import_network(written(tmp_path, (*BASE, *ways, *AT_E)), open_loops=True)
     assert feeder.phased is not None and feeder.phased.difference_pu is not None
     assert feeder.phased.difference_pu < CLOSE_PU
@@ -538,6 +562,43 @@ def test_both_legs_of_a_service_transformer_are_one_node(
     assert {"coven", "cleft", "cright"} < {str(each) for each in new_scenario(feeder).customers.id}
 
 
+def test_a_service_transformer_that_is_open(tmp_path: Path) -> None:
+    """What is behind it has no voltage that says its level."""
+    lines = tuple(line.replace("{left}", "3") for line in SERVICE)
+    file = written(tmp_path, (*lines[:-3], "open transformer.tr(b-h) 1", *lines[-3:]), "")
+    feeder = import_network(file)
+    assert apart(feeder, file) < CLOSE_PU
+    assert "Without supply or out of service, and left out: bus h, home." in feeder.notes
+
+
+CAUSES = {
+    "legs that are not alike": (
+        tuple(line.replace("{left}", "0").replace("wdg=3", "wdg=3 %r=9") for line in SERVICE),
+        "both legs behind a service transformer count as one, but differ at 2 buses",
+    ),
+    "PV below its limit": (
+        (*BASE, "new pvsystem.p bus1=b kv=5 kva=90 pmpp=80 vminpu=.95", *TAIL.split("\n")),
+        "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_what_the_feeder_has_not_is_named_as_the_cause(name: str, tmp_path: Path) -> None:
+    lines, cause = CAUSES[name]
+    phased = import_network(written(tmp_path, lines, "")).phased
+    assert phased is not None and phased.difference_pu is not None
+    assert phased.difference_pu > CLOSE_PU
+    assert [each for each in phased.causes if each.startswith(cause)]
+
+
+def test_controls_that_do_not_come_to_rest_are_told(tmp_path: Path) -> None:
+    control = "new capcontrol.h capacitor=h element=line.l terminal=1 type=pf on=.98 off=-.98"
+    lines = (*BASE, "new capacitor.h bus1=b kv=4.16 kvar=100", control)
+    notes = import_network(written(tmp_path, lines)).notes
+    assert any(note.startswith("OpenDSS's controls do not come to rest") for note in notes)
+
+
 def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:
     """Of a feeder with phases and of a balanced one; PV gives what its panels do at the shape."""
     (tmp_path / "Day.csv").write_text("\n".join(f"{hour / 100}" for hour in range(24)))
@@ -583,6 +644,25 @@ def test_a_fuse_stays_as_the_solution_leaves_it(tmp_path: Path) -> None:
     fuse = "new fuse.f monitoredobj=line.sp monitoredterm=1 state=[open closed closed]"
     file = written(tmp_path, (*BASE, SPUR, *AT_E, TAIL, fuse), "solve")
     assert apart(import_network(file), file) < CLOSE_PU
+
+
+@pytest.mark.parametrize("action", ["open", "close"])
+def test_an_action_of_a_fuse_is_its_state(action: str, tmp_path: Path) -> None:
+    """OpenDSS itself writes past the end of an array for it, and may end."""
+    fuse = "new fuse.f monitoredobj=line.sp ratedcurrent=99 state=[open closed closed] {}"
+    feeder, state = (
+        import_network(written(tmp_path, (*BASE, SPUR, *AT_E, fuse.format(each))))
+        for each in (f"action={action}", f"state=[{' '.join([action] * 3)}]")
+    )
+    assert own_voltages(feeder) == own_voltages(state)
+    assert ("e.1" in own_voltages(state)) == (action == "close")
+
+
+def test_an_end_of_opendss_is_told_with_its_place(tmp_path: Path) -> None:
+    lines = (*BASE, "new line.x phases=1000000 bus1=b bus2=e")
+    assert refusal(import_network, written(tmp_path, lines)).startswith(
+        'odd.dss: OpenDSS itself ends by signal 11 at \'new "line.x" phases=1000000'
+    )
 
 
 @pytest.mark.daily
@@ -663,6 +743,37 @@ REFUSED = {
         (HEAD + " bus2=z", "new reactor.z phases=3 bus1=z r=.5 x=0", *BASE[1:]),
         "vsource.source stands between bus s and bus z",
     ),
+    "source of two phases": (
+        (HEAD.replace("bus1=s", "bus1=s.1.2 phases=2"), *BASE[1:]),
+        "vsource.source has 2 of three phases",
+    ),
+    "legs that are not alike": (
+        tuple(line.replace("{left}", "1").replace("wdg=3", "wdg=3 tap=1.05") for line in SERVICE),
+        "transformer.tr(b-h) has 3 windings at b and h",
+    ),
+    "a phase beside two legs": (
+        (*(line.replace("{left}", "1") for line in SERVICE[:-3]),
+         "new transformer.v phases=1 windings=2 buses=(b.2 h.2.3) conns=(wye delta) kvs=(2.4 .24)",
+         *SERVICE[-3:]),
+        "transformer.v is at node 3 of bus h, behind a transformer whose middle is at ground",
+    ),
+    "line of no length": (
+        (*BASE, "new line.g bus1=b bus2=e r1=.3 x1=.5 length=0", *AT_E),
+        "OpenDSS refuses the file ((#183) Y matrix build aborted",
+    ),
+    "phases that one node joins": (
+        (*BASE, "new line.g bus1=b bus2=e.1.1.1 length=1", AT_E[0]),
+        "line.g joins conductors at one node",
+    ),
+    "load with an open conductor": (
+        (*BASE, "new load.e bus1=b kv=4.16 kw=90", "open load.e 1 2"),
+        "load.e has an open conductor",
+    ),
+    "transformer with an open conductor": (
+        (*BASE, "new transformer.u buses=(b e) kvs=(4.16 .48) kvas=(75 75)",
+         "new load.e bus1=e.1 phases=1 kv=.277 kw=8", "open transformer.u 1 2"),
+        "transformer.u has an open conductor",
+    ),
     "neutral that stays": (
         (*BASE, FOUR, "new line.q b.1.2.3.0 e.1.2.3.4 c4 .3 4 units=km",
          "new load.e bus1=e.1.4 phases=1 kv=2.4 kw=30"),
@@ -687,7 +798,10 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_has_no_counterpart_is_refused_by_name(name: str, tmp_path: Path) -> None:
     lines, message = REFUSED[name]
-    assert refusal(import_network, written(tmp_path, lines)).startswith(f"odd.dss: {message}")
+    assert re.match(
+        rf"odd\.dss(, row \d+)?: {re.escape(message)}",
+        refusal(import_network, written(tmp_path, lines)),
+    )
 
 
 @pytest.mark.daily

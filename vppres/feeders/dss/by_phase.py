@@ -61,7 +61,8 @@ class CircuitByPhase:
         for row in found["neutrals"]:
             self._take(row["element"], row["nodes"])
         self.taken = {node for node in self.users if not self._own(node)}
-        self.transformers = [self._transformer(row) for row in found["transformers"]]
+        closed = [row for row in found["transformers"] if row["closed"]]
+        self.transformers = [*map(self._transformer, closed)]
         self.buses = [self._bus(row) for row in found["buses"]]
         self.powers = [self._power(row) for row in found["powers"]]
 

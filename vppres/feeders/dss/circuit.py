@@ -81,12 +81,12 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
     if found["problems"]:
         raise InputError(located(found["problems"], script, path.name))
     net, ids = _build(found)
-    notes = (*script.notes, *found["balanced_notes"], *found["notes"])
-    if by_phase and found["single_phases"]:
-        notes = (*script.notes, *found["notes"])
+    few = _single_phases(found)
+    on_balance = () if by_phase and few else _notes_on_balance(*few.get("line", (0, 0)))
+    notes = (*script.notes, *on_balance, *found["notes"])
     flow = OpenDSSFlow(job, path.name, found, time_limit_s)
     notes += tuple(_told_shapes(found["shapes"]))
-    return net, ids, notes, _phase_powers(found), flow, tuple(_profiles(net, found, path.name))
+    return net, ids, notes, _phase_powers(found, few), flow, tuple(_profiles(net, found, path.name))
 
 
 def _profiles(net: Any, found: dict[str, Any], where: str) -> Iterator[Profile]:
@@ -135,7 +135,7 @@ class OpenDSSFlow:
         causes = sorted(found["causes"] + found["beyond"], key=lambda cause: -cause[0])
         self.causes = tuple(words for _, words in causes)
         self.closed = [branch["element"] for branch in found["branches"] if branch["pairs"]]
-        self.closed += [each["element"] for each in found["transformers"] if _closed(each)]
+        self.closed += [each["element"] for each in found["transformers"] if each["closed"]]
         three = (i for i, bus in enumerate(found["buses"]) if {1, 2, 3} <= {*bus["nodes"]})
         self.complete = {*three}
         self.giving = {power["bus"] for power in found["powers"] if power["kind"] != "load"}
@@ -277,9 +277,41 @@ class OpenDSSFlow:
         return {i: float(np.mean(values)) for i, values in at.items()}
 
 
-def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
+def _single_phases(found: dict[str, Any]) -> dict[str, tuple[int, int]]:
+    """Of each kind, how many elements have fewer than three phases, and how many there are.
+
+    A line that is open as a whole has all of its phases.
+    """
+    counts: dict[str, list[int]] = {"line": [], "transformer": []}
+    for row in found["branches"]:
+        if row["element"].startswith("line."):
+            own = row["pairs"] or (row["z"] and row["z"]["re"]) or row["nodes"]
+            counts["line"].append(len(own))
+    for row in found["transformers"]:
+        counts["transformer"].append(min(row["phases"], len(row["nodes"]) or PHASE_COUNT))
+    for row in found["powers"]:
+        own = min(len(row["coils"]), len(row["nodes"]) or PHASE_COUNT)
+        counts.setdefault(row["kind"], []).append(own)
+    few = {kind: sum(count < PHASE_COUNT for count in own) for kind, own in counts.items()}
+    return {kind: (few[kind], len(own)) for kind, own in counts.items() if few[kind]}
+
+
+def _notes_on_balance(few: int, lines: int) -> Iterator[str]:
+    """Notes on the simplifications of the balanced equivalent."""
+    yield (
+        "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
+        "of single phases count as spread over three. Voltages are compared with the mean of the "
+        "phases in OpenDSS's own solution of the circuit as it is."
+    )
+    if few:
+        yield (
+            f"{few} of {lines} lines have fewer than three phases; their impedance is "
+            "raised so that drop and losses are those of the phases that they have."
+        )
+
+
+def _phase_powers(found: dict[str, Any], counts: dict[str, tuple[int, int]]) -> PhasePowers | None:
     """Power of the loads less that of generators on each phase, by bus."""
-    counts = found["single_phases"]
     if not counts:
         return None
     words = [f"{few} of {count} {kind}s" for kind, (few, count) in counts.items()]
@@ -367,12 +399,12 @@ def _shunts(found: dict[str, Any], kv: dict[str, float]) -> Iterator[tuple[str, 
 
 
 def _cores(found: dict[str, Any], kv: dict[str, float]) -> Iterator[tuple[str, str, complex]]:
-    """Cores of transformers with three windings, which OpenDSS has at the second."""
+    """Cores of transformers, which OpenDSS has at the second winding."""
     for one in found["transformers"]:
-        own = one["windings"][1]
+        first, own = one["windings"][:2]
         percent = complex(one["no_load_percent"], one["magnetising_percent"])
-        if one["star"] and percent:
-            share = own["kva"] * (kv[own["bus"]] / _in_use_kv(own, kv)) ** 2 / 100.0
+        if one["closed"] and percent:
+            share = first["kva"] * (kv[own["bus"]] / _in_use_kv(own, kv)) ** 2 / 100.0
             yield f"core of {one['name']}", own["bus"], share * percent
 
 
@@ -385,20 +417,14 @@ def _in_use_kv(winding: dict[str, Any], kv: dict[str, float]) -> float:
     return float(min(rated, key=lambda each: abs(each - kv[winding["bus"]])) * winding["tap"])
 
 
-def _closed(transformer: dict[str, Any]) -> bool:
-    """Whether a transformer joins its buses."""
-    return bool(transformer["star"]) or len({bus for bus, _ in transformer["live"]}) == 2
-
-
 def _of_two_windings(one: dict[str, Any], kv: dict[str, float]) -> Iterator[dict[str, Any]]:
     """A transformer as one with two windings; with three, one for each of them, to their star."""
     windings = one["windings"]
     row = {
         **one,
-        "closed": _closed(one),
         "start": windings[0]["bus"],
         "end": windings[1]["bus"],
-        "kv": [_in_use_kv(each, kv) for each in windings],
+        "kv": [_in_use_kv(each, kv) for each in windings[:2]],
         "kva": windings[0]["kva"],
         "r_percent": sum(each["r_percent"] for each in windings),
         "x_percent": windings[0]["x_percent"],
@@ -416,8 +442,6 @@ def _of_two_windings(one: dict[str, Any], kv: dict[str, float]) -> Iterator[dict
             "kv": [_in_use_kv(own, kv), kv[one["star"]]],
             "r_percent": own["r_percent"],
             "x_percent": own["x_percent"],
-            "no_load_percent": 0.0,
-            "magnetising_percent": 0.0,
             "carried_kva": MOST_KVA,
         }
 
@@ -522,8 +546,7 @@ def _banks(transformers: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 def _bank(units: list[dict[str, Any]]) -> dict[str, Any]:
     """A transformer with the rating of its units, and the mean of everything else."""
     mean = {
-        name: float(np.mean([unit[name] for unit in units]))
-        for name in ("r_percent", "x_percent", "no_load_percent", "magnetising_percent")
+        name: float(np.mean([unit[name] for unit in units])) for name in ("r_percent", "x_percent")
     }
     return {
         **units[0],
@@ -544,7 +567,6 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
     kv = dict(zip(ends, transformer["kv"], strict=True))
     high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
     r_percent, x_percent = transformer["r_percent"], transformer["x_percent"]
-    no_load = transformer["no_load_percent"]
     pp.create_transformer_from_parameters(
         net,
         high,
@@ -554,8 +576,8 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
         vn_lv_kv=kv[low],
         vkr_percent=r_percent,
         vk_percent=float(np.copysign(np.hypot(r_percent, x_percent), x_percent)),
-        pfe_kw=no_load / 100.0 * transformer["kva"],
-        i0_percent=float(np.hypot(no_load, transformer["magnetising_percent"])),
+        pfe_kw=0.0,
+        i0_percent=0.0,
         name=transformer["name"],
         in_service=transformer["closed"],
     )

@@ -40,6 +40,9 @@ SET = frozenset(_SET.split())
 
 CONTROLMODES = ("off", "static")
 
+FUSES = 6
+"""Most conductors of a fuse."""
+
 COLUMNS = {
     "loadshape": ("hour", "mult"),
     "tshape": ("hour", "temp"),
@@ -143,6 +146,8 @@ class Commands:
                 raise RefusedLine(f"{kind} has '{full}', which names code", "Remove it.")
             if full == TRACES:
                 continue
+            if (kind, full) == ("fuse", "action"):  # OpenDSS writes past the end of its own array
+                full, text, quote = "state", " ".join([text] * FUSES), "["
             if full in FILES:
                 yield from self._in_file(kind, text, FILES[full], full)
             elif "=" in text:

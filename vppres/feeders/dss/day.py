@@ -54,7 +54,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         for name in dss.Loads.AllNames():
             dss.Text.Command(f'edit "load.{name}" model=1 {ANY_VOLTAGE}')
     island = _new_source(job.get("island_bus"))
-    nodes = _nodes(circuit)
+    nodes = [*circuit.volts()]
     steps = []
     for step in job["steps"]:
         _set(job, step, names, island)
@@ -146,21 +146,9 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
         dss.Loads.kvar(q_kvar)
 
 
-def _nodes(circuit: Circuit) -> list[str]:
-    """Nodes of the circuit; of two legs the phase that both count as."""
-    names = [name.lower() for name in dss.Circuit.AllNodeNames()]
-    alone = [name for name in names if name.rpartition(".")[0] not in circuit.legs]
-    return alone + [f"{bus}.{phase}" for bus, (phase, _) in circuit.legs.items()]
-
-
 def _found(circuit: Circuit, nodes: list[str]) -> dict[str, Any]:
     """Real and imaginary part of each node's voltage, and what the source gives."""
-    flat = dss.Circuit.AllBusVolts()
-    names = [name.lower() for name in dss.Circuit.AllNodeNames()]  # others with each source
-    known = {name: complex(*flat[2 * i : 2 * i + 2]) for i, name in enumerate(names)}
-    known |= {
-        f"{bus}.{phase}": circuit.from_leg_to_leg(bus) for bus, (phase, _) in circuit.legs.items()
-    }
+    known = circuit.volts()  # of other nodes with each source
     # What only an element was at that is off now is no node any more.
     at = [known.get(node, complex(np.nan, np.nan)) for node in nodes]
     volts = [part for v in at for part in (v.real, v.imag)]

@@ -28,6 +28,7 @@ class Circuit:
     """The engine's circuit: its elements, and those that are something else here."""
 
     ends_solved: bool = False  #: whether the script's last command has solved it
+    settled: bool = True  #: whether its controls come to rest
     at_rest: bool = False  #: whether what storage draws at rest is left out of its solution
     #: Options of ``set`` that the script has and OpenDSS did not get.
     left_out: tuple[str, ...] = ()
@@ -93,9 +94,14 @@ class Circuit:
         here = [sign * volts[node] for node, sign in signs.items() if node in volts]
         return complex(sum(here) * 2.0 / max(len(here), 1))
 
-    def legs_pu(self, bus: str) -> float:
-        """Voltage between the legs of a bus as a share of the nominal one."""
-        return abs(self.from_leg_to_leg(bus)) / (2.0 * V_PER_KV * float(dss.Bus.kVBase()))
+    def volts(self) -> dict[str, complex]:
+        """Voltage of each node to ground in the solution, of two legs from one to the other."""
+        flat = np.asarray(dss.Circuit.AllBusVolts())
+        names = [name.lower() for name in dss.Circuit.AllNodeNames()]
+        found = dict(zip(names, (flat[::2] + 1j * flat[1::2]).tolist(), strict=True))
+        alone = {node: v for node, v in found.items() if node.rpartition(".")[0] not in self.legs}
+        legs = self.legs.items()
+        return alone | {f"{bus}.{phase}": self.from_leg_to_leg(bus) for bus, (phase, _) in legs}
 
     def admittance(self) -> tuple[list[Node], Any]:
         """Nodes that the active element connects, in the order of its conductors, and their matrix.
@@ -114,6 +120,8 @@ class Circuit:
 
     def joined(self) -> list[tuple[Node, Node]]:
         """Nodes that conductors of the active element join, those that are closed at both ends."""
+        if dss.CktElement.NumTerminals() < 2:  # a delta of capacitors
+            return []
         ends, n = [self.held_by(end) for end in nodes_of()], dss.CktElement.NumConductors()
         first, second = shut()[:2]
         kept = [
@@ -260,13 +268,13 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
     if dss.Transformers.NumWindings() != 3 or dss.CktElement.NumPhases() != 1:
         return None
     ends = nodes_of()
-    kv = []
+    turns = []
     for winding in (2, 3):
         dss.Transformers.Wdg(winding)
-        kv.append(float(dss.Transformers.kV()))
+        turns.append((float(dss.Transformers.kV()), float(dss.Transformers.Tap())))
     (bus, first), (_, back), (other, forth), (_, second) = ends[2:6]
     phases = [node for _, node in ends[:2] if node in PHASES]
-    if bus != other or kv[0] != kv[1] or not phases:
+    if bus != other or turns[0] != turns[1] or not phases:
         return None
     if back == 0 and forth == 0 and first != second and 0 not in (first, second):
         return phases[0], bus, {first: 1.0, second: -1.0}
@@ -275,10 +283,11 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
 
 @dataclass
 class Side:
-    """One side of a transformer: its bus, the voltage across a coil, its tap and its rating."""
+    """One side of a transformer: its bus, the voltage across a coil, its ends, tap and rating."""
 
     bus: str
     kv: float
+    ends: list[Node]
     tap: float = 1.0
     kva: float = 0.0
 
@@ -300,7 +309,7 @@ class Winding(Side):
         self.kv = self.rated_kv / (np.sqrt(3) if phases > 1 and not self.delta else 1.0)
         self.tap = float(dss.Transformers.Tap())
         self.r_pct = float(dss.Transformers.R())
-        x_pct = float(dss.Transformers.Xhl())
+        x_pct = reactances()[0]
         if dss.Transformers.NumWindings() > 2:
             x_pct = _of_star(number)
             x_pct = x_pct if abs(x_pct) + self.r_pct > LEAST_PCT else LEAST_PCT
@@ -309,35 +318,37 @@ class Winding(Side):
         self.kva = float(dss.Transformers.kVA())
 
 
+def reactances() -> list[float]:
+    """Of the active transformer between each two windings, 1-2 first, in percent.
+
+    By ``xscarray``: what is given by it, ``xhl`` and the like do not show.
+    """
+    return [float(x) for x in str(dss.Properties.Value("xscarray")).strip("[] ").split()]
+
+
 def _of_star(number: int) -> float:
     """Reactance of a leg of the active transformer's star in percent."""
-    xhl, xht, xlt = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
+    xhl, xht, xlt = reactances()
     twice = {1: xhl + xht - xlt, 2: xhl + xlt - xht, 3: xht + xlt - xhl}[number]
-    return float(twice) / 2.0
+    return twice / 2.0
 
 
-class ServiceTransformer:
-    """The active transformer with its middle at ground, as one with two windings.
+def service(circuit: Circuit, nodes: list[Node], y: Any) -> tuple[list[Side], complex]:
+    """Both sides of the active transformer, its middle at ground, and their impedance in percent.
 
-    ``y`` is its matrix between its primary and both legs, from which its impedance follows.
+    That follows from its matrix between its primary and both legs.
     """
-
-    def __init__(self, circuit: Circuit) -> None:
-        name = dss.CktElement.Name().partition(".")[2]
-        self.nodes, self.y = circuit.admittance()
-        self.ends = [circuit.held_by(end)[0] for end in nodes_of()[:3]]
-        dss.Transformers.Name(name)
-        self.windings = []
-        for winding in (1, 2):
-            dss.Transformers.Wdg(winding)
-            kv, tap = float(dss.Transformers.kV()) * winding, float(dss.Transformers.Tap())
-            self.windings.append(Side(self.ends[2 * winding - 2][0], kv, tap))
-        dss.Transformers.Wdg(1)
-        self.windings[0].kva = float(dss.Transformers.kVA())
-        first = self.nodes.index(next(node for node in self.nodes if node[0] not in circuit.legs))
-        last = next(i for i, node in enumerate(self.nodes) if node[0] in circuit.legs)
-        kv2 = self.windings[0].kv * self.windings[1].kv
-        ohm_pct = 100.0 * self.windings[0].kva * VA_PER_KVA / (V_PER_KV**2 * kv2)
-        taps = self.windings[0].tap * self.windings[1].tap
-        z = complex(ohm_pct / (-self.y[first, last] * taps))
-        self.percent = z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite
+    ends = [circuit.held_by(end)[0] for end in nodes_of()[:3]]
+    dss.Transformers.Name(dss.CktElement.Name().partition(".")[2])
+    sides = []
+    for winding, own in ((1, ends[:2]), (2, ends[2:])):
+        dss.Transformers.Wdg(winding)
+        kv, tap = float(dss.Transformers.kV()) * winding, float(dss.Transformers.Tap())
+        sides.append(Side(own[0][0], kv, own, tap))
+    dss.Transformers.Wdg(1)
+    kva = sides[0].kva = float(dss.Transformers.kVA())
+    first = nodes.index(next(node for node in nodes if node[0] not in circuit.legs))
+    last = next(i for i, node in enumerate(nodes) if node[0] in circuit.legs)
+    ohm_pct = 100.0 * kva * VA_PER_KVA / (V_PER_KV**2 * sides[0].kv * sides[1].kv)
+    z = complex(ohm_pct / (-y[first, last] * sides[0].tap * sides[1].tap))
+    return sides, z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite

@@ -20,10 +20,12 @@ from vppres.feeders.dss.elements import (
     nodes_of,
     number,
     power_drawn,
+    reactances,
+    shut,
     text_of,
 )
 from vppres.feeders.dss.nodes import beside, reached
-from vppres.feeders.dss.refused import RefusedLine
+from vppres.feeders.dss.refused import RefusedLine, cut
 from vppres.feeders.dss.tables import (
     ADMITTANCE,
     BRANCHES,
@@ -31,9 +33,9 @@ from vppres.feeders.dss.tables import (
     DEFAULT_AMPS,
     POWERS,
     THREE_PHASES,
-    single_phases,
     tables,
 )
+from vppres.feeders.strangers.child import tell
 
 # Classes that carry no power, and those that have a counterpart here.
 _CONTROLS = """
@@ -53,6 +55,10 @@ CURE = "Correct the file until OpenDSS solves it."
 SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
 
+UNLIKE_PU = 1e-3
+NO_MATRIX = "(#183)"
+"""Of an error after which there is nothing to read."""
+
 CONTROLS_OFF = -1
 TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
 """From the last digits to OpenDSS's own: what floats, or is stiff, meets only the latter."""
@@ -69,7 +75,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     circuit, problems = build(job)
     if problems:
         return {"problems": problems}
-    settled(circuit)
+    circuit.settled = settled(circuit)
     disabled = job.get("disabled", [])
     kept = _needed(disabled, circuit) if job.get("keep") else []
     for element in disabled:
@@ -84,9 +90,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         **tables(circuit, solved),
         "shapes": _shapes(circuit),
         "causes": list(_causes(circuit)),
-        "beyond": list(beyond(circuit)) if solved else [],
-        "single_phases": single_phases(circuit),
-        "balanced_notes": list(_notes_on_balance(circuit)),
+        "beyond": list(_beyond(circuit)) if solved else [],
         "notes": list(_notes(circuit)),
     }
 
@@ -162,11 +166,10 @@ def _voltages(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """
     if not solved:
         return {"v_pu": {}, "losses_kw": None}
-    names = [name.lower() for name in dss.Circuit.AllNodeNames()]
-    found = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
-    legs = circuit.legs
-    found = {name: v for name, v in found.items() if name.rpartition(".")[0] not in legs}
-    found |= {f"{bus}.{phase}": circuit.legs_pu(bus) for bus, (phase, _) in legs.items()}
+    found = {
+        node: abs(v) / (circuit.base_kv(node.rpartition(".")[0]) * V_PER_KV / np.sqrt(3))
+        for node, v in circuit.volts().items()
+    }
     return {"v_pu": found, "losses_kw": _losses_kw(circuit)}
 
 
@@ -206,12 +209,14 @@ def build(job: dict[str, Any]) -> tuple[Circuit, Problems]:
     circuit.left_out = tuple(commands.left_out)
     dss.Text.Command("clear")
     for i, text in texts:
+        tell(cut(text))
         if text and (no_circuit := _carried_out(circuit, text, commands.elements.get(i, ""))):
             return circuit, [wrong(no_circuit, CURE, i)]
     if "calcvoltagebases" not in [text for _, text in texts]:
         for text in ("makebuslist", "calcvoltagebases"):
             if no_circuit := _carried_out(circuit, text):
                 return circuit, [wrong(no_circuit, CURE)]
+    tell("the finished circuit")
     circuit.find()
     if commands.named_levels:
         _fit_levels(circuit)
@@ -231,7 +236,7 @@ def _carried_out(circuit: Circuit, text: str, element: str = "") -> str:
         if element.partition(".")[0] in CONTROLS:
             circuit.refused[element] = told(error)
             dss.Circuit.Disable(element)
-        elif text not in SOLVES:
+        elif text not in SOLVES or told(error).startswith(NO_MATRIX):
             return f"OpenDSS refuses the file ({told(error)})"
     return ""
 
@@ -269,10 +274,30 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
         )
     dss.Circuit.SetActiveElement(element)
+    for bus, node in nodes_of():
+        if node and bus in circuit.legs and node not in circuit.legs[bus][1]:
+            return wrong(
+                f"{element} is at node {node} of bus {bus}, behind a transformer whose middle is "
+                "at ground, where there are two legs alone",
+                "Put it at the legs or at ground (node 0).",
+            )
     if kind == "vsource" and any(node for _, node in nodes_of()[dss.CktElement.NumConductors() :]):
         return wrong(
             f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
+        )
+    if kind == "vsource" and dss.CktElement.NumPhases() != THREE_PHASES:
+        return wrong(
+            f"{element} has {dss.CktElement.NumPhases()} of three phases",
+            "Give it three, and leave those out of the circuit that are not used.",
+        )
+    if kind in BRANCHES and _joins_phases(circuit):
+        return wrong(
+            f"{element} joins conductors at one node", "Give each a node of its own at both ends."
+        )
+    if kind in ("vsource", "transformer", *POWERS) and _partly_open():
+        return wrong(
+            f"{element} has an open conductor", "Write it with those that are closed instead."
         )
     if kind == "load" and dss.Solution.Year() and (shape := text_of(element, "growth").lower()):
         return wrong(
@@ -289,13 +314,25 @@ def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
                 f"{element} has {count} windings{where}",
                 "Replace it by transformers with two windings, or with three at three buses.",
             )
-        reactances = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
-        if NO_REACTANCE in reactances[: 3 if name in circuit.stars else 1]:
+        if NO_REACTANCE in reactances()[: 3 if name in circuit.stars else 1]:
             return wrong(
                 f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def _joins_phases(circuit: Circuit) -> bool:
+    """Whether conductors of the active element between two buses end at one node."""
+    pairs = [pair for pair in circuit.joined() if pair[0][0] != pair[1][0]]
+    return any(len({*ends}) < len(ends) for ends in zip(*pairs, strict=True))
+
+
+def _partly_open() -> bool:
+    """Whether a conductor of the active element is open; of transformers whole ends may be."""
+    ends = [end[: dss.CktElement.NumPhases()] for end in shut()]
+    whole = dss.CktElement.Name().lower().startswith("transformer.")
+    return any(not all(end) and (any(end) or not whole) for end in ends)
 
 
 def named_once(words: list[str]) -> str:
@@ -333,13 +370,13 @@ def _fit_levels(circuit: Circuit) -> None:
     levels = [float(kv) for kv in dss.Settings.VoltageBases()]
     beside = circuit.beside()
     for element, bus, rated_kv, _ in list(_ratings(circuit)):
-        own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
+        legs = 2.0 if bus in circuit.legs else 1.0
+        own = [legs * kv for kv in levels if _fits(rated_kv, legs * kv, TOLERANCE)]
         level = circuit.base_kv(bus)
         if element.startswith("transformer.") and own and not _fits(rated_kv, level):
             level = own[0]
         for each in reached(bus, beside):
             if abs(circuit.base_kv(each) - level) > TOLERANCE * level:
-                legs = 2.0 if each in circuit.legs else 1.0
                 dss.Text.Command(f'setkvbase bus="{each}" kvll={level / legs:.17g}')
                 circuit.moved[each] = level
 
@@ -400,7 +437,14 @@ def _causes(circuit: Circuit) -> Iterator[list[Any]]:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
 
 
-def beyond(circuit: Circuit) -> Iterator[list[Any]]:
+def _beyond(circuit: Circuit) -> Iterator[list[Any]]:
+    """Causes of differences that the solution has, with the power that they affect in kW."""
+    yield from _loads_beyond(circuit)
+    yield from _others_beyond(circuit)
+    yield from _unlike_legs(circuit)
+
+
+def _loads_beyond(circuit: Circuit) -> Iterator[list[Any]]:
     """Loads whose voltage in the solution is one at which OpenDSS takes another model for them.
 
     An impedance stays one.
@@ -422,6 +466,44 @@ def beyond(circuit: Circuit) -> Iterator[list[Any]]:
             "loads outside their vminpu and vmaxpu in the source's solution, where OpenDSS gives "
             f"them a constant impedance, so that they draw {drawn_kw:.4g} kW instead of "
             f"{kw:.4g} kW: {_first(found)}",
+        ]
+
+
+def _others_beyond(circuit: Circuit) -> Iterator[list[Any]]:
+    """Generation and batteries whose voltage is one at which OpenDSS makes impedances of them."""
+    found: dict[str, float] = {}
+    for kind in POWERS[1:]:
+        for name in circuit.of(kind):
+            element = f"{kind}.{name}"
+            delta = text_of(element, "conn").lower() in ("delta", "ll")
+            kv, least, most = (number(element, each) for each in ("kv", "vminpu", "vmaxpu"))
+            kv /= 1.0 if delta or dss.CktElement.NumPhases() == 1 else np.sqrt(3)
+            pu = [v / (kv * V_PER_KV) for v in coil_volts(delta)]
+            if min(pu) < least or max(pu) > most:
+                found[f"{element} ({min(pu):.3f} pu)"] = abs(power_drawn().real)
+    if found:
+        yield [
+            sum(found.values()),
+            "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes "
+            f"impedances: {_first(found)}",
+        ]
+
+
+def _unlike_legs(circuit: Circuit) -> Iterator[list[Any]]:
+    """Service transformers whose legs have voltages of their own, which are one here."""
+    found = {}
+    for bus, (_, signs) in circuit.legs.items():
+        dss.Circuit.SetActiveBus(bus)
+        v = dict(zip(dss.Bus.Nodes(), dss.Bus.puVmagAngle()[::2], strict=True))
+        legs = [v[node] for node in signs if node in v]
+        if max(legs) - min(legs) > UNLIKE_PU:
+            found[bus] = max(legs) - min(legs)
+    if found:
+        worst = max(found, key=lambda bus: found[bus])
+        yield [
+            0.0,
+            f"both legs behind a service transformer count as one, but differ at {len(found)} "
+            f"buses, by up to {found[worst]:.2g} pu at bus {worst}",
         ]
 
 
@@ -463,21 +545,6 @@ def _minutes() -> float:
     return float(apart[0]) if len(apart) and np.allclose(apart, apart[0]) else 0.0
 
 
-def _notes_on_balance(circuit: Circuit) -> Iterator[str]:
-    """Notes on the simplifications of the balanced equivalent."""
-    yield (
-        "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
-        "of single phases count as spread over three. Voltages are compared with the mean of the "
-        "phases in OpenDSS's own solution of the circuit as it is."
-    )
-    few, count = single_phases(circuit).get("line", (0, 0))
-    if few:
-        yield (
-            f"{few} of {count} lines have fewer than three phases; their impedance is "
-            "raised so that drop and losses are those of the phases that they have."
-        )
-
-
 def _notes(circuit: Circuit) -> Iterator[str]:
     """Notes on elements that are modelled as something else, balanced or by phase."""
     if circuit.left_out:
@@ -489,6 +556,8 @@ def _notes(circuit: Circuit) -> Iterator[str]:
             f"Bus {bus} has {kv:g} kV, by the rating of its transformer: OpenDSS takes another "
             "level of 'voltagebases' for it."
         )
+    if not circuit.settled:
+        yield "OpenDSS's controls do not come to rest: they stay where its last solution has them."
     unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in circuit.of("line")]
     if any(unrated):
         yield (

@@ -16,7 +16,6 @@ from vppres.core.units import V_PER_KV
 from vppres.feeders.dss.elements import (
     PHASES,
     Circuit,
-    ServiceTransformer,
     Side,
     TwoPort,
     Winding,
@@ -28,7 +27,7 @@ from vppres.feeders.dss.elements import (
     nodes_of,
     number,
     power_drawn,
-    shut,
+    service,
     text_of,
 )
 
@@ -56,13 +55,14 @@ Table = list[dict[str, Any]]
 
 def tables(circuit: Circuit, solved: bool) -> dict[str, Any]:
     """All elements that carry power, and the buses that they are at."""
+    transformers = list(_transformers(circuit))
     return {
         "name": dss.Circuit.Name(),
         "frequency_hz": dss.Solution.Frequency(),
         "buses": [_bus(bus, circuit) for bus in dss.Circuit.AllBusNames()] + _stars(circuit),
         "source": _source(circuit),
-        "branches": list(_branches(circuit)),
-        "transformers": list(_transformers(circuit)),
+        "branches": [*_branches(circuit), *_with_an_open_end(transformers)],
+        "transformers": transformers,
         "powers": list(_powers(circuit, solved)),
         "neutrals": _neutrals(circuit),
     }
@@ -202,20 +202,16 @@ def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
     """
     regulators = regulated(circuit)
     for name in circuit.of("transformer"):
-        service = middle() is not None
+        in_halves = middle() is not None
         dss.Circuit.SetActiveElement(f"transformer.{name}")
         dss.Transformers.Name(name)
         nodes, y = circuit.admittance()
         phases, carried_a, at = dss.CktElement.NumPhases(), _carried_a(), circuit.phases()
         numbers = range(1, 1 + dss.Transformers.NumWindings())
         windings = [*map(_winding, map(Winding, numbers))]
-        if service:
-            own = ServiceTransformer(circuit)
-            ends = ([node for _, node in own.ends[:2]], [own.ends[2][1]])
-            windings = [
-                _side(side, end, percent)
-                for side, end, percent in zip(own.windings, ends, (own.percent, 0j), strict=True)
-            ]
+        if in_halves and len(buses_of(nodes)) == 2:
+            sides, percent = service(circuit, nodes, y)
+            windings = [*map(_side, sides, (percent, 0j))]
         star, on_star = circuit.stars.get(name, ("", ()))
         element = f"transformer.{name}"
         yield {
@@ -225,31 +221,42 @@ def _transformers(circuit: Circuit) -> Iterator[dict[str, Any]]:
             "nodes": at,
             "carried_a": carried_a,
             "windings": windings,
+            "closed": bool(star) or len(buses_of(nodes)) == 2,
             "star": star,
             "on_star": on_star,
             "live": nodes,
             "y": _complex(y),
             "regulated": regulators.get(name),
-            "ppm": 0.0 if star or service else number(element, "ppm_antifloat"),
+            "ppm": 0.0 if star or in_halves else number(element, "ppm_antifloat"),
             "no_load_percent": number(element, "%noloadloss"),
             "magnetising_percent": number(element, "%imag"),
         }
 
 
+def _with_an_open_end(transformers: Table) -> Iterator[dict[str, Any]]:
+    """Transformers that join no buses: their cores, at the bus that they are still at."""
+    for one in transformers:
+        if not one["closed"]:
+            nodes = one["live"]
+            rest = [[bus, [node for _, node in nodes], one["y"]] for bus in buses_of(nodes)]
+            at = {"element": one["element"], "name": one["name"], "nodes": nodes}
+            yield at | {"pairs": [], "z": None, "rest": rest}
+
+
 def _winding(own: Winding) -> dict[str, Any]:
     """A winding; of two, the first has all of the reactance."""
-    row = _side(own, [node for _, node in own.ends], own.percent)
+    row = _side(own, own.percent)
     return row | {"rated_kv": own.rated_kv, "r_percent": own.r_pct, "delta": own.delta}
 
 
-def _side(side: Side, ends: list[int], percent: complex) -> dict[str, Any]:
+def _side(side: Side, percent: complex) -> dict[str, Any]:
     return {
         "bus": side.bus,
         "kv": side.kv,
         "rated_kv": side.kv,
         "tap": side.tap,
         "kva": side.kva,
-        "ends": ends,
+        "ends": [node for _, node in side.ends],
         "delta": False,
         "r_percent": percent.real,
         "x_percent": percent.imag,
@@ -401,28 +408,3 @@ def _battery(element: str) -> dict[str, float]:
         "eta_discharge": number(element, "%effdischarge") / 100.0,
         "idle_kw": rated_kw * number(element, "%idlingkw") / 100.0,
     }
-
-
-def single_phases(circuit: Circuit) -> dict[str, list[int]]:
-    """Of each kind, how many elements have fewer than three phases, and how many there are."""
-    found = {}
-    for kind in ("line", "transformer", *POWERS):
-        phases = [_live_phases(circuit, kind) for _ in circuit.of(kind)]
-        few = sum(count < THREE_PHASES for count in phases)
-        if few:
-            found[kind] = [few, len(phases)]
-    return found
-
-
-def _live_phases(circuit: Circuit, kind: str) -> int:
-    """Phases that the active element has, less those with an open conductor at either end.
-
-    One that is open as a whole has all of them.
-    """
-    own = int(min(dss.CktElement.NumPhases(), len(circuit.phases()) or THREE_PHASES))
-    if kind != "line":
-        return own
-    if own < min(dss.CktElement.NumPhases(), THREE_PHASES):
-        return own
-    through = [all(ends) for ends in zip(*shut(), strict=True)]
-    return min(own, sum(through)) if any(through) else own

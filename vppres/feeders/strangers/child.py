@@ -21,6 +21,14 @@ ENGINES = ("dss.engine", "dss.day", "matpower.binary")
 MEMORY_BYTES = 2 * 2**30
 """Of addresses: libraries and a feeder of some thousand buses take less than half of it."""
 
+AT = "at: "
+"""Opens a line of the errors' stream that says where the engine is."""
+
+
+def tell(place: str) -> None:
+    """Say where the engine is, for those who ask after its end."""
+    sys.stderr.write(f"{AT}{place}\n")
+
 
 def main() -> None:
     """Read a job from the input, answer it on the output."""

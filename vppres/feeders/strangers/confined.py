@@ -11,6 +11,7 @@ from typing import Any
 
 from vppres.core.errors import InputError
 from vppres.core.parent import me
+from vppres.feeders.strangers.child import AT
 from vppres.io.atomic import scratch_folder
 
 TIME_LIMIT_S = 10.0
@@ -18,6 +19,12 @@ TIME_LIMIT_S = 10.0
 
 START_LIMIT_S = 60.0
 """For the process to load its libraries, which a busy machine does slowly."""
+
+CURE = (
+    "Leave out what stands there, or else what stands before it, until the file is read. Sizes "
+    "that no equipment has end it too, such as a line of a million phases."
+)
+MOST_TOLD = 200
 
 ALARM = int(getattr(signal, "SIGALRM", 0))
 """Signal by which the process's own clock ends it; Windows has only the clock of this side."""
@@ -59,13 +66,21 @@ def confined(
     try:
         answer = json.loads(done.stdout)
     except ValueError:
-        raise InputError.of(
-            name,
-            f"ends the process that reads it (status {done.returncode})",
-            "Look for sizes that no equipment has, such as a line of a million phases.",
-        ) from None
+        raise InputError.of(name, _ended(engine, done.returncode, done.stderr), CURE) from None
     assert isinstance(answer, dict)
     return answer
+
+
+def _ended(engine: str, status: int, stderr: str) -> str:
+    """How the process ended without an answer, at which place of the job, and its last words."""
+    library = "OpenDSS itself" if engine.startswith("dss.") else "the library that reads it"
+    how = f"{library} ends by signal {-status}" if status < 0 else f"its reading ends ({status})"
+    lines = [line.strip() for line in stderr.splitlines()]
+    places = [line.removeprefix(AT) for line in lines if line.startswith(AT)]
+    words = [line for line in lines if line and not line.startswith(AT)]
+    where = f" at '{places[-1]}'" if places else ""
+    why = f": {words[-1][:MOST_TOLD]}" if words else ""
+    return f"{how}{where}{why}"
 
 
 def _environment(folder: Path) -> dict[str, str]:
