@@ -168,7 +168,7 @@ class Runner:
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
         self.refused = RefusedReadings(self.length)
-        self.news = News(store)
+        self.news = News(store, self.scenario)
         self._fresh: dict[tuple[str, str], Reading] = {}
         self._hearing = threading.Lock()
         self.alarms = Alarms(store)
