@@ -38,7 +38,7 @@ def warned(issued_h: float, **told: object) -> OutageWarning:
     times = {
         name: NOON + float(value) * HOUR  # type: ignore[arg-type]
         for name, value in told.items()
-        if name.startswith("onset")
+        if name.startswith(("onset", "restored"))
     }
     return OutageWarning(NOON + issued_h * HOUR, **(told | times))  # type: ignore[arg-type]
 
@@ -408,6 +408,8 @@ def test_presets_say_where_they_come_from() -> None:
     ({"probability": 1.2}, "must lie between 0 and 1"),
     ({"duration_p50_h": 0.0}, "must be above 0"),
     ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "is below duration_p50_h"),
+    ({"onset_likely": 2, "restored_likely": 2}, "restored_likely.*does not come after the onset"),
+    ({"onset_earliest": 1, "onset_likely": 3, "restored_by": 1}, "restored_by.*after the onset"),
 ])  # fmt: skip
 def test_contradictions_are_refused(told: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):

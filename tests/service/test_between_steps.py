@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time as machine
 from collections.abc import Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,17 @@ from tests.support.live_service import (
     Running,
     decided,
     heard,
+    reading,
     readings,
     running,
     said,
+    serving,
     site,
 )
 from vppres.core.errors import InputError, StorageError
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
 from vppres.service.events.announced import check_not_over
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
@@ -179,6 +185,55 @@ def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(live: Running) -
     plan = http.post("/v1/steps").json()
     assert not plan["grid"]["available"] and "anew" not in plan
     assert runner.changes.reasons == ()
+
+
+def test_a_state_of_charge_far_from_the_plan_is_planned_for_at_once(live: Running) -> None:
+    """Twice: a jump that the measured power does not explain counts once it is borne out."""
+    http, clock, runner = live
+    first = said(http.get("/v1/plan").json(), "batteries")["big"]["p_kw"]
+    on_its_way = 0.85 - 0.95 * -first * 13 / 60 / 100
+    http.post("/v1/telemetry", {"series": readings(LATER, "soc", {"big": on_its_way})})
+    assert runner.changes.reasons == ()
+    meter = [reading("big", "battery_kw", NOON, first, lasts="PT13M")]
+    gauge = readings(LATER, "soc", {"big": 0.3})
+    http.post("/v1/telemetry", {"series": meter + gauge})
+    assert runner.changes.reasons == ("soc of big is 0.3 (scada)",)
+    plan = runner.anew()
+    assert plan is not None and plan["estimated"][0].endswith("(jumped)")
+    for minutes, reasons in ((14, ("soc of big is 0.3 (scada)",)), (15, ())):
+        clock.set(NOON + pd.Timedelta(minutes=minutes))
+        gauge = readings(clock.now(), "soc", {"big": 0.3})
+        http.post("/v1/telemetry", {"series": gauge})
+        assert runner.changes.reasons == reasons
+        plan = runner.anew() or plan
+    assert plan["expected"]["soc_start"]["big"] == pytest.approx(0.3, abs=0.01)
+
+
+def test_the_rest_of_a_step_is_decided_after_a_restart_as_without_one(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Duties and the power flow are those of the beginning of the step."""
+    rules = SwitchingRules(min_unserved_h=2.0)
+    options = replace(HERE, switching=rules, mode="physical", outages="belief", rotation=1.0)
+    service, plans = Service(site(tiny), options), []
+    for restarts in (False, True):
+        clock, folder = SetClock(NOON - pd.Timedelta("1h")), tmp_path / str(restarts)
+        with serving(service, folder, clock) as (http, runner):
+            decided(http, clock, clock.now(), soc=0.3)
+            clock.set(NOON)
+            http.post("/v1/telemetry", grid(0.0, NOON))
+            decided(http, clock, NOON, soc=0.3)
+            clock.set(LATER)
+            if not restarts:
+                http.post("/v1/telemetry", grid(1.0))
+                plans.append(runner.anew())
+        if restarts:
+            with serving(service, folder, clock) as (http, runner):
+                http.post("/v1/telemetry", grid(1.0))
+                plans.append(runner.anew())
+    alone, killed = (json.dumps({**plan, "solve": None}, sort_keys=True) for plan in plans)
+    assert all(one["served"] for one in said(plans[0], "customers").values())
+    assert alone == killed
 
 
 @pytest.mark.parametrize(("duration", "over"), [

@@ -313,3 +313,26 @@ def test_a_set_that_rejected_its_start_and_has_no_fault_is_planned_for_at_once(
         assert said(plan, "gensets")["g0"]["running"]
         sends_no_fault(15.0)
         assert runner.changes.reasons == ()
+
+
+def test_a_set_that_is_refuelled_is_planned_for_at_once(tiny: Scenario, tmp_path: Path) -> None:
+    """20 l last for no hour at 100 kW; a gauge that stands still is no news."""
+    day, clock = with_set(site(tiny)), SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+
+        def gauge(minutes: float, litres: float) -> tuple[str, ...]:
+            clock.set(NOON + pd.Timedelta(minutes=minutes))
+            series = readings(clock.now(), "fuel_litres", {"g0": litres})
+            assert http.post("/v1/telemetry", {"series": series}).status == 200
+            return runner.changes.reasons
+
+        http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
+        gauge(0.0, 20.0)
+        before = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
+        assert gauge(19.0, 20.0) == ()
+        assert gauge(20.0, 200.0) == ("fuel_litres of g0 is 200 (scada)",)
+        plan = runner.anew()
+        assert plan is not None and plan["anew"] == "fuel_litres of g0 is 200 (scada)"
+        assert plan["expected"]["gensets"]["g0"]["fuel_litres"] == 200.0
+        assert said(plan, "gensets")["g0"]["p_kw"] > before["p_kw"]
+        assert gauge(21.0, 199.5) == ()

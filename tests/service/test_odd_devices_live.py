@@ -260,10 +260,14 @@ def test_the_price_of_energy_counts_on_no_dimming_that_was_refused(
     assert prices == pytest.approx([0.95 * 0.1 / 10.0, 0.95 * 0.02 / 1.0], rel=1e-3)
 
 
+@pytest.mark.parametrize("still", [{}, {"shop": 1.0}])
 def test_a_customer_that_rejects_to_be_dimmed_is_not_dimmed_until_it_is_back(
-    tiny: Scenario, tmp_path: Path
+    tiny: Scenario, tmp_path: Path, still: dict[str, float]
 ) -> None:
-    """One battery of 30 kW in an island; the shop takes 40 kW and may have a quarter of it."""
+    """One battery of 30 kW in an island; the shop takes 40 kW and may have a quarter of it.
+
+    A gateway that says in each hour that it is ``still`` there says nothing new.
+    """
     day = dimming_shop(tiny, shop_kw=40.0, homes_kw=5.0)
     now = replace(HERE, horizon_h=0.0)
     clock = SetClock(NOON)
@@ -279,14 +283,17 @@ def test_a_customer_that_rejects_to_be_dimmed_is_not_dimmed_until_it_is_back(
         return next(o for o in plan["setpoints"] if o["asset"] == "shop"), plan["estimated"]
 
     with client(Service(day, now), tmp_path, clock) as http:
-        point, _ = shop(http, 0)
+        point, _ = shop(http, 0, **still)
         assert point["served"] and 0.25 <= point["share"] < 1.0
         no = {"status": "rejected", "reason": "no relay"}
         assert http.post(f"/v1/setpoints/{point['id']}/status", no).status == 200
     with client(Service(day, now), tmp_path, clock) as http:
-        point, estimated = shop(http, 1)
-        assert not point["served"], "40 kW are more than 30"
-        assert "shop cannot be dimmed (rejected: no relay)" in estimated
-        point, estimated = shop(http, 2, shop=1.0)
+        for hours, online in ((1, still), (2, still)):
+            point, estimated = shop(http, hours, **online)
+            assert not point["served"], "40 kW are more than 30"
+            assert "shop cannot be dimmed (rejected: no relay)" in estimated
+        if still:
+            shop(http, 3, shop=0.0)
+        point, estimated = shop(http, 4, shop=1.0)
         assert point["served"] and point["share"] < 1.0
         assert not [words for words in estimated if "dimmed" in words]

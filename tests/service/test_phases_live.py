@@ -201,6 +201,16 @@ def test_phases_that_are_refused_change_nothing(evening: Scenario, tmp_path: Pat
         assert sent(a=10.0, b=11.0, c=12.0).json()["duplicates"] == 4
 
 
+def test_a_power_that_is_not_the_sum_of_its_phases_is_named(evening: Scenario) -> None:
+    by_phase = [reading("ce", "load_kw", phase) for phase in "abc"]
+    alone = reading("ce", "load_kw", None)
+    good, problems = readings_of([alone, *by_phase], evening, evening.grid.end)
+    assert [one.problem.message for one in problems] == ["is not the sum of its phases, 30 kW"]
+    assert [one.value for one in good] == [10.0, 10.0, 10.0, 30.0]
+    whole = alone.model_copy(update={"values": [30.4]})  # by meters
+    assert not readings_of([whole, *by_phase], evening, evening.grid.end)[1]
+
+
 def test_what_earths_an_island_is_reckoned_once_for_all_readings(
     evening: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:

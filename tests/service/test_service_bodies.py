@@ -57,7 +57,12 @@ EVENTS = {
                             "price_gbp_per_kwh": [1.0] * 2000},
     "limit of 400 digits": {"type": "import_limit", "start": BEGIN, "limit_kw": HUGE},
 }  # fmt: skip
-FORECASTS = {"a gigawatt": forecast([2e6]), "400 digits": forecast([HUGE])}
+FORECASTS = {
+    "a gigawatt": forecast([2e6]),
+    "400 digits": forecast([HUGE]),
+    "watts for kilowatts": forecast([40_000.0]),
+    "of tomorrow": {**forecast([40.0]), "issued_at": "2026-11-22T12:00:00Z"},
+}
 TELEMETRY = {
     "centuries": telemetry(**CENTURIES, values=[0.5] * 2000),
     "400 digits": telemetry(values=[HUGE]),

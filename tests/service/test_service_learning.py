@@ -207,6 +207,8 @@ def test_who_cannot_be_switched_on_is_left_off_until_it_is_back(
         assert seen[-1].forecast.load_kw[0, shop] == 30.0
         # Telemetry alone says so too, however old it is.
         http.post("/v1/telemetry", {"series": readings(clock.now(), "online", {"shop": 0.0})})
+        silent = readings(clock.now() + pd.Timedelta("1h"), "online", {"shop": None})
+        http.post("/v1/telemetry", {"series": silent})
         assert hour(http, clock, 9)["lost"] == [
             {"asset": "shop", "reason": "reported as not connected"}
         ]

@@ -19,7 +19,7 @@ import pytest
 from tests.support.asgi import Caller
 from tests.support.browser import listening
 from tests.support.live_service import HERE, NOON, Live, running, site
-from tests.support.strangers import attacks, lives, silent
+from tests.support.strangers import address, attacks, lives, silent
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
@@ -55,6 +55,14 @@ def test_connections_that_ask_for_nothing_lock_nobody_out(own: Started, many: in
         assert max(lives(own) for _ in range(10)) < LOCKED_OUT_S
         with closing(Client(own.url)) as asked:
             assert asked.ask("GET", "/v1/plan").status == 200
+
+
+@pytest.mark.parametrize("body", [b" " * 9_000_000, b"[" * 2_000_000])
+def test_who_sends_too_much_is_told(own: Started, body: bytes) -> None:
+    """By a client that sends all of it before it looks for an answer."""
+    with closing(http.client.HTTPConnection(*address(own), timeout=60)) as asked:
+        asked.request("POST", "/v1/telemetry", body, {"content-type": "application/json"})
+        assert asked.getresponse().status == 413
 
 
 async def absent(_scope: Any, _receive: Any, send: Any) -> None:

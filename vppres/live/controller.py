@@ -83,7 +83,7 @@ class Controller:
         self._forgotten = at.forgotten
         self._past = at.past
         self.last: Decision | None = None
-        self._step_before: tuple[dict[str, Any], Past] | None = at.before
+        self._step_before: tuple[dict[str, Any] | None, Past] | None = at.before
         self._given = given_by(scenario, options)
         self._past_days = past_days_of(scenario, options.seed)
         self._turn = threading.Lock()
@@ -155,12 +155,12 @@ class Controller:
     def saved(self) -> str:
         """The state as JSON text, in a short form to store after every step.
 
-        It differs from :meth:`state` in two ways: you cannot decide the last step again from it,
-        and you must store the measurements for a forecaster that learns separately (``history`` of
-        :meth:`of`).
+        It differs from :meth:`state` in two ways: of the last step you can decide the rest again
+        from it, but not the whole, and you must store the measurements for a forecaster that learns
+        separately (``history`` of :meth:`of`).
         """
         with self._turn:
-            at = Standing(self.scenario, self._forgotten, self._past)
+            at = Standing(self.scenario, self._forgotten, self._past, self._step_before)
             return saved_state(at, self._decider, self.options)
 
     @property
@@ -404,7 +404,10 @@ class Controller:
         again = self._step_before if row + self._forgotten == self._past.t else None
         if not again:
             return latest, self._past
-        return (latest, again[1].within_step(self._past)) if within else again
+        memory, before = again
+        if within:
+            return latest, before.within_step(self._past)
+        return (latest, self._past) if memory is None else (memory, before)
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Let the decider stand where a memory of it was made."""

@@ -63,13 +63,14 @@ class Standing:
     """State of a controller between two steps.
 
     The first of the known steps has ``forgotten`` ones before it, since the controller's first;
-    ``before`` is memory and past before the last step, which may be decided again.
+    ``before`` is memory and past before the last step, which may be decided again. Without the
+    memory only its rest may be.
     """
 
     known: Scenario
     forgotten: int
     past: Past
-    before: tuple[dict[str, Any], Past] | None = None
+    before: tuple[dict[str, Any] | None, Past] | None = None
 
 
 def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
@@ -86,9 +87,12 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
 def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> str:
     """State as text, for a caller that saves every step: each number is written once.
 
-    What was measured is not in it, nor what the last step may be decided again from.
+    What was measured is not in it, nor the memory that the last step may be decided again from; the
+    rest of it may.
     """
-    text = _text({**_body(standing, decider, options), "history": None, "before": None})
+    given = given_by(standing.known, options)
+    before = standing.before and _moment(None, standing.before[1], given)
+    text = _text({**_body(standing, decider, options), "history": None, "before": before})
     return f'{text[:-1]},"digest":"{_digest(text)}"}}'
 
 
@@ -167,7 +171,7 @@ def _restored(
     return Standing(known, forgotten, now, before)
 
 
-def _moment(memory: dict[str, Any], past: Past, given: Given) -> dict[str, Any]:
+def _moment(memory: dict[str, Any] | None, past: Past, given: Given) -> dict[str, Any]:
     """State of the site and memory of the controller, between two steps."""
     return {"past": past.as_plain(given), "memory": memory}
 

@@ -155,6 +155,12 @@ class OutageWarning:
                 found.append((middle, "is missing", f"Give it, or leave out {given[0][0]} too."))
         said = [(name, getattr(self, name)) for name in ends if _known(getattr(self, name))]
         found += _out_of_order(said, "comes before")
+        begins = next((at for name in onsets if _known(at := getattr(self, name))), None)
+        found += [
+            (name, "does not come after the onset", "Give a later time.")
+            for name, time in said
+            if begins is not None and not _less(begins, time)
+        ]
         if self.restored_by is not None and self.restored_by <= self.issued_at:
             found.append(("restored_by", "does not come after issued_at", "Give a later time."))
         if self.restored_likely is not None and self.duration_p50_h is not None:
@@ -256,8 +262,14 @@ def _out_of_order(given: list[tuple[str, Any]], wrong: str) -> list[tuple[str, s
     return [
         (high, f"{wrong} {low}", "Put them in their order.")
         for (low, less), (high, more) in pairwise(given)
-        if more < less
+        if _less(more, less)
     ]
+
+
+def _less(one: Any, other: Any) -> bool:
+    """Whether a number or time is less than another; with and without a zone times do not tell."""
+    zones = {getattr(value, "tzinfo", None) is None for value in (one, other)}
+    return len(zones) == 1 and bool(one < other)
 
 
 def _known(value: object) -> bool:

@@ -26,6 +26,26 @@ Direction = Literal["", "charging_positive", "injection_positive"]
 Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
 
 
+@dataclass(frozen=True)
+class Reckoned:
+    """A store as a plan reckons it from the beginning to the end of its time.
+
+    A reading further from it than ``slack`` is no error of a meter. What is read outside the
+    limits counts as at them.
+    """
+
+    start: float
+    end: float
+    low: float
+    high: float
+    slack: float
+
+    def is_far(self, value: float, share: float) -> bool:
+        """Whether a value is far from what is reckoned after a share of the time."""
+        now = self.start + (self.end - self.start) * min(max(share, 0.0), 1.0)
+        return abs(min(max(value, self.low), self.high) - now) > self.slack
+
+
 class LastReadings(Protocol):
     """The last readings of all devices."""
 
@@ -152,6 +172,10 @@ class OfKind:
     def out(self, plan: Plan) -> list[str]:
         """Units that a plan does without, since they do not start."""
         return []
+
+    def reckoned(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str, Reckoned]]:
+        """Unit, quantity and state of stores that feed customers, as a plan reckons them."""
+        return iter(())
 
     def formers(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str]]:
         """Units that can form the grid of an island, and why one cannot now."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.control.guard.series import FAR
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
@@ -83,8 +84,12 @@ class Window:
         return table, cautious
 
 
-def check_forecast(quantity: str, assets: Mapping[str, Quantiles], of: Scenario) -> None:
+def check_forecast(
+    quantity: str, assets: Mapping[str, Quantiles], of: Scenario, read_kw: Mapping[str, float]
+) -> None:
     """Whether a forecast is of the site, and of what its devices can do.
+
+    ``read_kw`` are the last readings of demand.
 
     Raises
     ------
@@ -98,6 +103,8 @@ def check_forecast(quantity: str, assets: Mapping[str, Quantiles], of: Scenario)
         if name not in known
     ]
     problems += _beyond_ratings(quantity, assets, of)
+    if quantity == "load_kw":
+        problems += _far_from_demand(assets, of, read_kw)
     if problems:
         raise InputError(problems)
 
@@ -109,9 +116,25 @@ def _beyond_ratings(
     own = ranges_of(of)
     for name, quantiles in assets.items():
         permitted = own.get((quantity, name))
-        most_kw = max(max(row) for row in (quantiles.p50, quantiles.p90) if row)
+        most_kw = _most_kw(quantiles)
         if permitted and not permitted.holds(most_kw):
             field = f"{quantity} of {name}"
             yield Problem(
                 "forecast", permitted.text(most_kw), permitted.cure, field=field, value=most_kw
             )
+
+
+def _far_from_demand(
+    assets: Mapping[str, Quantiles], of: Scenario, read_kw: Mapping[str, float]
+) -> Iterator[Problem]:
+    """Customers of which so much is expected that it must be in another unit."""
+    for name, profile_kw in zip(map(str, of.customers.id), of.load_kw.max(axis=0), strict=True):
+        usual_kw = max(profile_kw, read_kw.get(name, 0.0))
+        if name in assets and profile_kw > 0.0 and _most_kw(assets[name]) > FAR * usual_kw:
+            message = f"is more than {FAR:g} times all that was read or is in the profile"
+            field, cure = f"load_kw of {name}", "Give the power in kW."
+            yield Problem("forecast", message, cure, field=field, value=_most_kw(assets[name]))
+
+
+def _most_kw(quantiles: Quantiles) -> float:
+    return max(max(row) for row in (quantiles.p50, quantiles.p90) if row)

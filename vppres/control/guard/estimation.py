@@ -17,7 +17,7 @@ from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import feeder_off
 from vppres.control.guard.moved import Moved
-from vppres.control.guard.reckoning import SocReckoning
+from vppres.control.guard.reckoning import JUMPED, SocReckoning
 from vppres.control.guard.series import SeriesJudge
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats, Wholes
@@ -160,8 +160,8 @@ class Estimator:
             if np.isnan(soc.soc[i]):
                 words.append(f"soc {names[i]} was never received")
                 continue
-            kind = "frozen" if soc.frozen[i] else "jumped" if soc.jumped[i] else "missing"
-            words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
+            kind = "(frozen)" if soc.frozen[i] else JUMPED if soc.jumped[i] else "(missing)"
+            words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} {kind}")
         return words
 
     def _expected(self, seen: Observation) -> tuple[Floats, Floats, bool]:

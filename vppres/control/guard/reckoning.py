@@ -24,6 +24,9 @@ A battery's own gauge may be set right, and then goes on from there. It counts i
 reading bears it out; that of another battery, or one that drifts, does not.
 """
 
+JUMPED = "(jumped)"
+"""How an estimate ends of a state of charge whose reading is not believed yet."""
+
 SAME_MOMENT_H = 1.0 / 3600.0
 """Readings less apart than a second are the same one: times since the first step are rounded."""
 

@@ -11,10 +11,11 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.gensets.live import STILL_SHARE
 from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, expected_by
-from vppres.service.of_kind import OfKind, Stored, Wrong
+from vppres.service.of_kind import OfKind, Reckoned, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import DECIDED, Reading, moment, versions
 
@@ -89,6 +90,14 @@ class Sets(OfKind):
     def out(self, plan: Plan) -> list[str]:
         """Sets that a plan does without."""
         return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
+
+    def reckoned(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str, Reckoned]]:
+        """Fuel in the tanks."""
+        told = expected_by(plan).get("gensets", {})
+        for name, tank in zip(scenario.gensets.id, scenario.gensets.tank_litres, strict=True):
+            if one := told.get(str(name)):
+                litres = one["fuel_litres"], one["fuel_end_litres"]
+                yield str(name), "fuel_litres", Reckoned(*litres, 0.0, tank, STILL_SHARE * tank)
 
     def formers(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str]]:
         """Sets that are named."""

@@ -27,7 +27,7 @@ from vppres.service.storage.statements import REFUSED, why_refused
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
-from vppres.service.telemetry.lost import lost_customers
+from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers
 
 HIGH, MEDIUM = "high", "medium"
 PRIORITIES = (HIGH, MEDIUM)
@@ -197,9 +197,10 @@ def failing_now(
 ) -> dict[str, str]:
     """Devices that do not follow their set-points, and why."""
     batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
+    batteries |= lost_batteries(scenario, latest.newest(ONLINE))
     out = [name for kind in every().values() for name in kind.out(plan)]
     units = dict.fromkeys(out, "it does not start")
-    return {**batteries, **lost_customers(scenario, latest.newest("online"), store), **units}
+    return {**batteries, **lost_customers(scenario, latest.newest(ONLINE), store), **units}
 
 
 def conditions(now: Situation) -> Iterator[Condition]:

@@ -24,6 +24,9 @@ MOST_STEPS_ASKED = 4
 MOST_BYTES = 8_000_000
 """Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
 
+MOST_PASSED_OVER = 4 * MOST_BYTES
+"""Bytes that are read of a refused body before it is answered."""
+
 TOO_LARGE = f"The request has more than {MOST_BYTES} bytes. Send it in parts."
 
 MOST_PARTS = 200_000
@@ -74,6 +77,8 @@ class Perimeter:
         try:
             self._check(scope)
         except HTTPException as error:
+            if error.status_code == 413:
+                await _pass_over(receive)
             await problem_answer(error.status_code, error.detail)(scope, receive, send)
         except Denied as error:
             await denied_answer(error)(scope, receive, send)
@@ -140,13 +145,22 @@ def _with_limits(receive: Receive) -> Receive:
         read += len(body)
         # Those in texts count too: a time of day has a colon or three.
         parts += sum(body.count(sign) for sign in (b":", b"[", b"{"))
-        if read > MOST_BYTES:
-            raise HTTPException(413, TOO_LARGE)
-        if parts > MOST_PARTS:
-            raise HTTPException(413, TOO_MANY)
+        if read > MOST_BYTES or parts > MOST_PARTS:
+            await _pass_over(receive)
+            raise HTTPException(413, TOO_LARGE if read > MOST_BYTES else TOO_MANY)
         return message
 
     return receiving
+
+
+async def _pass_over(receive: Receive) -> None:
+    """Let a body come to its end, if that is near: who is cut off while sending sees no answer."""
+    read = 0
+    while read <= MOST_PASSED_OVER:
+        message = await receive()
+        read += len(message.get("body", b""))
+        if not message.get("more_body"):
+            return
 
 
 def host_name(host: str) -> str | None:

@@ -30,7 +30,7 @@ class Hearing:
     def __init__(self, site: OperatedSite) -> None:
         self.site = site
         self.refused = RefusedReadings(site.length)
-        self._news = News(site.store)
+        self._news = News(site.store, site.scenario)
         self._fresh: dict[tuple[str, str], Reading] = {}
         self._turn = threading.Lock()
 

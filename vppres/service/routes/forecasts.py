@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.exceptions import HTTPException
 
+from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.clock import written
 from vppres.service.operation.runner import Runner
@@ -25,7 +26,18 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Store a forecast of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
         if quantity not in ("load_kw", "pv_kw"):
             raise HTTPException(404, "There are forecasts of load_kw and pv_kw.")
-        check_forecast(quantity, body.assets, runner.scenario)
+        now = runner.clock.now()
+        until = runner.begun(now) + 2 * runner.length
+        if body.issued_at > until:
+            message, cure = (
+                "lies in the future",
+                f"It is {written(now)}; set the forecaster's clock.",
+            )
+            issued = written(body.issued_at)
+            raise InputError.of("forecast", message, cure, field="issued_at", value=issued)
+        latest = runner.store.latest(until, ["load_kw"], known=True)
+        read_kw = {one.asset: one.value for one in latest}
+        check_forecast(quantity, body.assets, runner.scenario, read_kw)
         runner.store.put_forecast(quantity, body.model_dump(), runner.clock.now(), actor)
         return {"quantity": quantity, "issued_at": written(body.issued_at)}
 

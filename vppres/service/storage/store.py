@@ -173,6 +173,13 @@ class Store:
         found = self._readings(last_readings(seconds(until), quantities, known))
         return list({(r.asset, r.quantity): r for r in found}.values())
 
+    def has_turned(self, asset: str, quantity: str, since: int) -> bool:
+        """Whether a state was read as 0 since a time, or was not read before it."""
+        t = TELEMETRY.c
+        own = sa.select(t.time).where(t.asset == asset, t.quantity == quantity).limit(1)
+        off = own.where(t.time > since, t.value == 0.0)
+        return bool(self._rows(off)) or not self._rows(own.where(t.time <= since))
+
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
     ) -> list[Reading]:

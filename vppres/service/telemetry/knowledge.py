@@ -45,7 +45,7 @@ from vppres.service.storage.records import DECIDED, Event, Reading, moment, seco
 from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.grid_readings import contradiction, stands_alone
-from vppres.service.telemetry.lost import lost_customers, undimmed_customers
+from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers, undimmed_customers
 from vppres.service.telemetry.phased_readings import stored, with_sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
 from vppres.service.window import CAUTIOUS, Window
@@ -117,7 +117,9 @@ class Latest:
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
         """Readings of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
-        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
+        until = time + pd.Timedelta(seconds=EARLY_SHARE * step_s)
+        found = [one for one in store.latest(until, INSTANT) if one.quantity != ONLINE]
+        found += store.latest(until, [ONLINE], known=True)  # silence brings no device back
         for kind in every().values():
             found = kind.of_those_here(found)
         return cls([Heard.of(reading, seconds(time), step_s) for reading in found])
@@ -370,8 +372,7 @@ def _of_batteries(
     """Power, age of the state of charge, and whether each battery can work."""
     ids = [str(name) for name in scenario.batteries.id]
     soc = readings.newest("soc")
-    off = {name for name, value in readings.now("online").items() if value == 0.0}
-    out = refusing(soc, store) | off
+    out = refusing(soc, store) | lost_batteries(scenario, readings.newest(ONLINE)).keys()
     return {
         "battery_kw": {name: read_kw[name] for name in ids if name in read_kw} or None,
         "online": {name: name not in out for name in ids},

@@ -1,19 +1,27 @@
-"""Customers that cannot be supplied, or dimmed: protection opened, or a device fails.
+"""Customers that cannot be supplied, or dimmed, and batteries that are not connected.
 
 It was reported: a device that did not switch one on, or did not dim it, or telemetry that it is not
 ``online``. That stands, however old it is, until it is reported back: ``online`` again, or its
-device did what it was reported after all.
+device did what it was reported after all. That a customer is still ``online`` as before says
+nothing of whether it can be dimmed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from vppres.core.arrays import Names
 from vppres.scenario.scenario import Scenario
 from vppres.service.storage.records import Lost, Reading
 from vppres.service.storage.store import Store
 
+ONLINE = "online"
 DISCONNECTED = "reported as not connected"
+
+
+def lost_batteries(scenario: Scenario, online: Mapping[str, Reading]) -> dict[str, str]:
+    """Batteries that were reported as not connected, with reasons."""
+    return _disconnected(scenario.batteries.id, online)
 
 
 def lost_customers(
@@ -23,16 +31,28 @@ def lost_customers(
 
     ``online`` are the last readings of who is connected, those of batteries among them.
     """
-    ids = {str(name) for name in scenario.customers.id}
-    off = (name for name, one in online.items() if name in ids and one.value == 0.0)
-    return _standing(store.lost(), scenario, online) | dict.fromkeys(off, DISCONNECTED)
+    off = _disconnected(scenario.customers.id, online)
+    return _standing(store.lost(), scenario, online) | off
 
 
 def undimmed_customers(
     scenario: Scenario, online: Mapping[str, Reading], store: Store
 ) -> dict[str, str]:
     """Customers that cannot be dimmed, with reasons."""
-    return _standing(store.undimmed(), scenario, online)
+    refused = store.undimmed()
+    back = {
+        name: one
+        for name, one in online.items()
+        if name in refused and store.has_turned(name, ONLINE, refused[name].at)
+    }
+    return _standing(refused, scenario, back)
+
+
+def _disconnected(ids: Names, online: Mapping[str, Reading]) -> dict[str, str]:
+    """Those of some names that were reported as not connected, with the reason."""
+    names = {str(name) for name in ids}
+    off = (name for name, one in online.items() if name in names and one.value == 0.0)
+    return dict.fromkeys(off, DISCONNECTED)
 
 
 def _standing(

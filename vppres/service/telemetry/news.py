@@ -1,7 +1,8 @@
 """News: readings that the present plan does not contain.
 
 A device that is back or gone is planned for at once, as the grid is; so is one that is heard for
-the first time, or after a silence for which the plan did without it.
+the first time, or after a silence for which the plan did without it; and so is a store that holds
+far more or less than the plan reckons.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from typing import Any
 import pandas as pd
 
 from vppres.contract.decision import OUT
+from vppres.control.guard.reckoning import JUMPED, SOC_JUMP
 from vppres.day.trajectory import SWITCHES_OPEN
 from vppres.scenario.configuration import LEFT_OPEN
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import expected_by
 from vppres.service.clock import written
-from vppres.service.of_kind import every
+from vppres.service.of_kind import Reckoned, every
 from vppres.service.storage.records import Reading, moment
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
@@ -52,15 +56,20 @@ def newest(readings: Iterable[Reading]) -> dict[Key, Reading]:
 class News:
     """Compares what comes with what was there."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, scenario: Scenario) -> None:
         self.store = store
+        self.scenario = scenario
         self._missing = set[Key]()
 
     def of(self, readings: Iterable[Reading], until: pd.Timestamp, plan: Plan) -> list[str]:
         """News in readings that are not stored yet; those up to a time count."""
         readings = list(readings)
         told = newest(one for one in readings if moment(one.time) <= until)
-        found = [*self._changed(told, until, plan), *self._first(told, plan)]
+        found = [
+            *self._changed(told, until, plan),
+            *self._first(told, plan),
+            *self._far(told, until, plan),
+        ]
         self._missing -= set(told)
         last = {(one.asset, one.quantity): one for one in readings}
         self._missing |= {key for key, one in last.items() if not one.known}
@@ -102,6 +111,47 @@ class News:
             # A battery without any state of charge is out, and named so.
             if key in lost or (unheard and kind != "soc"):
                 yield f"{kind} of {asset} is heard"
+
+    def _far(self, told: Mapping[Key, Reading], until: pd.Timestamp, plan: Plan) -> Iterator[str]:
+        """Stores far from what the plan reckons.
+
+        A gauge that stands still is no news, unless the plan waits for it to bear out a jump.
+        """
+        stores = reckoned(plan, self.scenario)
+        if not stores.keys() & told.keys():
+            return
+        begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
+        end = pd.Timestamp(plan["start"]) + self.scenario.grid.step
+        latest = self.store.latest(until, {quantity for _, quantity in stores})
+        before = {(one.asset, one.quantity): one for one in latest}
+        for key, store in stores.items():
+            one, was = told.get(key), before.get(key)
+            if not one or moment(one.time) < begin or (was and was.time > one.time):
+                continue
+            asset, quantity = key
+            of_it = (
+                words for words in plan["estimated"] if words.startswith(f"{quantity} {asset} ")
+            )
+            waits = any(words.endswith(JUMPED) for words in of_it)
+            moved = waits or not was or was.value != one.value
+            if moved and store.is_far(one.value, (moment(one.time) - begin) / (end - begin)):
+                yield f"{quantity} of {asset} is {one.value:g} ({one.source})"
+
+
+def reckoned(plan: Plan, scenario: Scenario) -> dict[Key, Reckoned]:
+    """Stores of batteries and units as a plan reckons them; without batteries that are out."""
+    told, odd = expected_by(plan), plan.get("estimated", ())
+    b = scenario.batteries
+    limits = zip(b.id, b.soc_min, b.soc_max, strict=True)
+    found = {
+        (str(name), "soc"): Reckoned(start, end, low, high, SOC_JUMP)
+        for name, low, high in limits
+        if OUT.format(name) not in odd
+        and (start := told.get("soc_start", {}).get(str(name))) is not None
+        and (end := told["soc"].get(str(name))) is not None
+    }
+    of_kinds = (one for kind in every().values() for one in kind.reckoned(scenario, plan))
+    return found | {(name, quantity): store for name, quantity, store in of_kinds}
 
 
 def is_lost(late: Mapping[str, Any]) -> bool:

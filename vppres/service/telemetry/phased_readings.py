@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from vppres.control.guard.balance import tolerance_kw
 from vppres.core.errors import Problem
 from vppres.live.by_phase import GRID
 from vppres.physics.phased_sources import labels_by_source
@@ -61,9 +62,10 @@ def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
 def with_sums(
     readings: Iterable[Reading], scenario: Scenario
 ) -> tuple[list[Reading], list[Refusal]]:
-    """Readings of a batch with the sums of powers by phase, and what lacks a phase.
+    """Readings of a batch with the sums of powers by phase, and what does not fit together.
 
-    Of an asset that lacks one nothing is kept: phases of other batches would not add up with it.
+    Of an asset that lacks a phase nothing is kept: phases of other batches would not add up with
+    it. A power of all phases that is not their sum is not kept.
     """
     kept: list[Reading] = []
     refused: list[Refusal] = []
@@ -83,6 +85,27 @@ def with_sums(
             wrong = Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
             refused.append(Refusal(source, asset, quantity, wrong))
             continue
-        total = sum(one.value for one in phases.values())
-        kept += [*phases.values(), Reading(asset, quantity, time, source, long, total)]
+        total = Reading(asset, quantity, time, source, long, sum(p.value for p in phases.values()))
+        refused += [_other_than(total, one) for one in kept if _contradicts(one, total)]
+        kept = [one for one in kept if not _same(one, total)]
+        kept += [*phases.values(), total]
     return kept, refused
+
+
+def _same(one: Reading, total: Reading) -> bool:
+    """Whether a reading is of all phases of which there is a sum."""
+    key = one.asset, one.quantity, one.source, one.time
+    return key == (total.asset, total.quantity, total.source, total.time)
+
+
+def _contradicts(one: Reading, total: Reading) -> bool:
+    """Whether it is another power than the sum, by more than meters are off by."""
+    off_kw = abs(one.value - total.value)
+    return _same(one, total) and off_kw > tolerance_kw(abs(total.value))
+
+
+def _other_than(total: Reading, one: Reading) -> Refusal:
+    message = f"is not the sum of its phases, {total.value:g} kW"
+    cure = "Send the phases alone, or the sum alone."
+    wrong = Problem(WHERE, message, cure, None, f"{one.quantity} of {one.asset}", one.value)
+    return Refusal(one.source, one.asset, one.quantity, wrong)
