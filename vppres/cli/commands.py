@@ -415,7 +415,7 @@ def survival(
     """
     from vppres.io.find import load_scenario
     from vppres.studies.side_by_side import Where
-    from vppres.studies.survival import Tried, lengths_of, variants_of
+    from vppres.studies.survival import Tried, kept_in, lengths_of, variants_of
     from vppres.studies.survival import survival as run_survival
     from vppres.studies.survival_page import answers, write_survival
 
@@ -423,9 +423,10 @@ def survival(
     options = run_options(site, context.obj)
     tried = Tried(lengths_of(lengths, site.grid.dt_h), onsets, charged, options.seed)
     variants = variants_of(site, options, scale)
-    with progress_bar("onsets", quiet) as bar:
-        study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
-    record = {"folder": str(out), **write_survival(study, out)}
+    with kept_in(out):
+        with progress_bar("onsets", quiet) as bar:
+            study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
+        record = {"folder": str(out), **write_survival(study, out)}
     _show(
         record if as_json else None,
         survival_table(study.table(), not study.every_step),
