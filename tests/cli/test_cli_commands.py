@@ -452,6 +452,22 @@ def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
     assert not (tmp_path / "x.html").exists()
 
 
+def test_runs_of_other_clocks_and_weights_are_laid_over_each_other(
+    two_runs: list[Path], tmp_path: Path
+) -> None:
+    day = small_scenario()
+    other = replace(
+        day,
+        grid=replace(day.grid, zone="Australia/Lord_Howe"),
+        customers=replace(day.customers, weight=2.0 * day.customers.weight),
+    )
+    write_run(small_run(other), tmp_path / "far", figures=False)
+    result = call("compare", two_runs[0], tmp_path / "far", "--out", tmp_path / "x.html")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "The runs differ in their scenario." in result.stdout
+    assert "Lord_Howe" not in (tmp_path / "x.html").read_text(encoding="utf-8")
+
+
 # sweep
 
 

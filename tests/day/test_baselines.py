@@ -120,7 +120,17 @@ def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:
         "--horizon 1.0 has no effect: the controller is idle, and it is for mpc."]),
     ({"pv_check": "literal"}, ["pv_check literal has no effect: the controller is idle, and it is "
         "for full-horizon and perfect."]),
-    ({"turn_h": 2.0}, ["--turn-h 2.0 has no effect: there is no rotation."]),
+    ({"turn_h": 2.0}, ["--turn-h 2.0 has no effect without --rotation."]),
+    ({"soc_end": 0.95, "switching.stay_restored": True, "errors.load_bias": 0.1}, [
+        f"--{given} has no effect: the controller is idle, and it is for mpc{more}."
+        for given, more in (("soc-end 0.95", " and full-horizon and perfect"), ("load-bias 0.1",
+        " and full-horizon"), ("stay-restored", " and full-horizon and perfect"))]),
+    ({"headroom": 0.3, "switching.cold_load_h": 2.0, "guard": False, "protect_critical": True}, [
+        "--headroom 0.3 has no effect: the mode is paper, and it is for physical.",
+        "--cold-load-h 2.0 has no effect without --cold-load-factor.",
+        "--protect-critical has no effect without --guard."]),
+    ({"controller": "mpc", "horizon_h": 1.0, "move_switches": True}, [
+        "--move-switches has no effect: the site has no switch that can be moved."]),
     ({"controller": "reserve", "reserve.soc": 0.5, "reserve.notice_h": 2.0}, []),
     ({"controller": "mpc", "horizon_h": 1.0, "rotation": 0.5, "turn_h": 2.0}, []),
 ])  # fmt: skip
@@ -130,3 +140,18 @@ def test_an_option_without_effect_is_named(
     options = RunOptions(controller="idle").having(given)
     found = summarise(run_day(tiny, options))["cautions"]
     assert sorted(w for w in found if "no effect" in w) == sorted(words)
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"controller": "mpc", "horizon_h": 1.0, "soc_end": 0.84}, []),
+    ({"controller": "mpc", "horizon_h": 1.0, "soc_end": 0.95}, ["--soc-end 0.95 is outside the limits "
+        "of 2 of 2 batteries (soc_min, soc_max): the nearest limit counts there, 0.85 to 0.9."]),
+    ({"controller": "reserve", "reserve.soc": 0.87}, ["--reserve-soc 0.87 is outside the limits "
+        "of 1 of 2 batteries (soc_min, soc_max): the nearest limit counts there, 0.85."]),
+])  # fmt: skip
+def test_a_state_of_charge_beyond_a_batterys_limits_is_named(
+    tiny: Scenario, given: dict[str, Any], words: list[str]
+) -> None:
+    day = replace(tiny, batteries=replace(tiny.batteries, soc_max=[0.9, 0.85]))
+    found = summarise(run_day(day, RunOptions().having(given)))["cautions"]
+    assert [w for w in found if "limits of" in w] == words

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -178,3 +179,24 @@ def test_missing_files_are_all_named(tmp_path):
     assert refusal(read_run, str(tmp_path)) == (
         f"{tmp_path}: has no options.json, no pv.parquet. Give a folder written by a run."
     )
+
+
+def edited(file: Path, change: Any) -> None:
+    change(pd.read_parquet(file)).to_parquet(file)
+
+
+@pytest.mark.parametrize(("spoil", "words"), [
+    (lambda d: edited(d / "steps.parquet", lambda t: t.drop(columns=["gap", "phase"])),
+        "steps.parquet: has no column gap, no column phase."),
+    (lambda d: edited(d / "customers.parquet", lambda t: t[t["id"] != t["id"][0]]),
+        "customers.parquet: has 8 rows, and not 3 in each of the 4 steps."),
+    (lambda d: edited(d / "steps.parquet", lambda t: t.iloc[:0]),
+        "steps.parquet: has 0 rows for 4 steps."),
+    (lambda d: (d / "options.json").write_text('{"options": {"seed": 0}, "planned": null}'),
+        "options.json: has no controller, no horizon_h, no solver, no method."),
+])  # fmt: skip
+def test_a_folder_that_no_run_wrote_so_is_refused(tmp_path: Path, spoil: Any, words: str) -> None:
+    write(small_run(), tmp_path)
+    spoil(tmp_path)
+    cure = "Run the scenario again, or give a folder as a run wrote it."
+    assert f"{words} {cure}" in refusal(read_run, tmp_path)

@@ -117,6 +117,34 @@ def test_every_way_says_the_same(way: Any, feeder: ImportedFeeder, tmp_path: Pat
     assert day.load_kw[:, 1].max() == pytest.approx(50.0)  # school and shop as they were
 
 
+@pytest.mark.parametrize("frame", [
+    pd.DataFrame({"bakery_kw": np.repeat(RISING, 2), "roof_kw": np.repeat(RISING, 2)}),
+    pd.DataFrame({"id": np.repeat(["bakery", "roof"], 48), "kw": np.tile(np.repeat(RISING, 2), 2)}),
+], ids=["wide", "long"])  # fmt: skip
+def test_rows_without_times_have_a_given_length(
+    frame: pd.DataFrame, feeder: ImportedFeeder, tmp_path: Path
+) -> None:
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    assert refusal(new_scenario, feeder, options(tmp_path)) == (
+        "a.csv: has no column of times. Name it time; the other columns are assets, or id and "
+        "value. Without times say how long a row is with --profile-step."
+    )
+    day = new_scenario(feeder, options(tmp_path, profile_step_minutes=30.0))
+    assert day.load_kw[:, 0] == pytest.approx(RISING)
+    assert day.pv_kw[:, list(day.pv.id).index("pv2")] == pytest.approx(RISING)
+
+
+def test_what_all_series_of_a_file_have_alike_is_told_once(
+    feeder: ImportedFeeder, tmp_path: Path
+) -> None:
+    backwards = pd.DataFrame({"time": DAY[::-1], "bakery_kw": RISING, "roof_kw": RISING})
+    backwards.to_csv(tmp_path / "a.csv", index=False)
+    assert refusal(new_scenario, feeder, options(tmp_path)) == (
+        "a.csv, time = 2025-07-01T22:00:00Z: has times that are out of order (bakery, roof). "
+        "Sort the rows by time."
+    )
+
+
 def test_elements_behind_a_customer_add_up(feeder: ImportedFeeder, tmp_path: Path) -> None:
     write(tmp_path, "a_kw.csv", school=RISING, shop=2 * RISING, mill=np.full(24, 7.0))
     day = new_scenario(feeder, options(tmp_path))

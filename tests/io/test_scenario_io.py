@@ -297,9 +297,9 @@ def test_pv_may_exceed_its_rating_by_rounding(tiny_folder: Path) -> None:
 
 
 def test_spreadsheet_habits_are_read(tiny: Scenario, tiny_folder: Path) -> None:
-    """Byte order mark, CR LF, spaces around cells, rows of commas at the end."""
+    """Byte order mark, CR LF, spaces around cells, rows and columns of commas at the end."""
     text = (tiny_folder / "customers.csv").read_text(encoding="utf-8")
-    rows = text.replace(",", " , ").replace("\n", "\r\n") + ",,,\r\n\r\n"
+    rows = text.replace(",", " , ").replace("\n", ",,\r\n") + ",,,,,\r\n\r\n"
     (tiny_folder / "customers.csv").write_bytes(b"\xef\xbb\xbf" + rows.encode())
     assert_equal(read_scenario(tiny_folder), tiny)
 

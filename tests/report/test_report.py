@@ -245,7 +245,7 @@ def test_findings_name_fallbacks_and_dark_islands() -> None:
     )
     found = findings(replace(run, steps=steps))
     assert "The island was blacked out in 2 steps: no battery." in found
-    assert "The plan had promised supply in 1 step of them." in found
+    assert "The plan had promised supply in 1 of them." in found
     assert "AC power flow had no solution in 1 step." in found
     assert "Fallback decisions: rule (2), previous plan (1)." in found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from errno import EACCES, ENOSPC
 from pathlib import Path
 
 import numpy as np
@@ -209,18 +210,27 @@ def test_the_command_writes_tables_and_a_page(tmp_path: Path) -> None:
     assert "100.0%" in again.stdout
 
 
-def test_an_interrupted_command_says_what_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("error", "status", "words"), [
+    (KeyboardInterrupt(), 130, "Interrupted; what is finished is kept in {}, and the same command"),
+    (OSError(ENOSPC, "", "x"), 1, "The disk is full, or a quota is reached; what is finished is kept"),
+    (OSError(EACCES, "no", "x"), 2, "{}: cannot be written (no). Choose another folder"),
+])  # fmt: skip
+def test_a_command_that_breaks_off_says_what_is_kept(
+    error: BaseException,
+    status: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def interrupted(job: study.Job) -> list[study.OutageOutcome]:
-        raise KeyboardInterrupt
+    def breaks_off(*_: object) -> None:
+        raise error
 
-    monkeypatch.setattr(study, "run_job", interrupted)
+    monkeypatch.setattr(study, "map_unordered", breaks_off)
     write_scenario(clinic(), tmp_path / "clinic")
     options = ("--charged", "0.8", "--jobs", "1", "--out", tmp_path / "s")
     result = call("survival", tmp_path / "clinic", *options)
-    assert result.exit_code == 130
-    assert "Interrupted; what is finished is kept in" in " ".join(result.stderr.split())
+    assert result.exit_code == status
+    assert words.format(tmp_path / "s") in result.stderr
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:

@@ -276,7 +276,7 @@ def report(
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     from vppres.io.atomic import check_file
-    from vppres.report.finished import in_utc, priced, read_finished, rewrite_report
+    from vppres.report.finished import in_zone, priced, read_finished, rewrite_report
     from vppres.report.pdf import find_browser
     from vppres.report.run_folder import REPORT_FILE
 
@@ -286,7 +286,7 @@ def report(
     browser = find_browser() if pdf else ""
     done = read_finished(run_folder)
     done = done if voll is None else priced(done, voll)
-    done = in_utc(done) if utc else done
+    done = in_zone(done) if utc else done
     for written in rewrite_report(done, file, browser, figure_kinds(figures)):
         typer.echo(f"Written to {written}")
 
@@ -319,6 +319,7 @@ def compare(
         comparison_record,
         read_runs,
         render_comparison,
+        same_scenario,
     )
 
     file = out if out.suffix == ".html" else out / COMPARISON_FILE
@@ -329,6 +330,7 @@ def compare(
     _show(
         {"report": str(file), **comparison_record(runs)} if as_json else None,
         comparison_table(list(runs), differing) if differing else "All figures are equal.",
+        *([] if same_scenario(runs) else ["The runs differ in their scenario."]),
         f"Written to {file}",
     )
 
@@ -413,7 +415,7 @@ def survival(
     """
     from vppres.io.find import load_scenario
     from vppres.studies.side_by_side import Where
-    from vppres.studies.survival import Tried, lengths_of, variants_of
+    from vppres.studies.survival import Tried, kept_in, lengths_of, variants_of
     from vppres.studies.survival import survival as run_survival
     from vppres.studies.survival_page import answers, write_survival
 
@@ -421,9 +423,10 @@ def survival(
     options = run_options(site, context.obj)
     tried = Tried(lengths_of(lengths, site.grid.dt_h), onsets, charged, options.seed)
     variants = variants_of(site, options, scale)
-    with progress_bar("onsets", quiet) as bar:
-        study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
-    record = {"folder": str(out), **write_survival(study, out)}
+    with kept_in(out):
+        with progress_bar("onsets", quiet) as bar:
+            study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
+        record = {"folder": str(out), **write_survival(study, out)}
     _show(
         record if as_json else None,
         survival_table(study.table(), not study.every_step),

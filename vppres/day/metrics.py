@@ -120,7 +120,7 @@ def blackouts(trajectory: Trajectory) -> list[str]:
     words = [f"The island was blacked out in {counted(len(dark), 'step')}{why}."]
     promised = dark[dark["shed_kw"] > 0] if "shed_kw" in dark else dark.iloc[:0]
     if len(promised):
-        words.append(f"The plan had promised supply in {counted(len(promised), 'step')} of them.")
+        words.append(f"The plan had promised supply in {len(promised)} of them.")
     return words
 
 

@@ -300,7 +300,7 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
         if limit == "inverter":  # reactive power may leave little of it
             kvar = abs(float(step.recorded.batt_q_kvar[step.t][battery]))
             words = f"{words} beside {figure(kvar)} kvar"
-        return Reason(limit, limit, _sentence(words, one_more(step, limit)))
+        return Reason(limit, limit, _sentence(words, one_more(step, limit, battery)))
     worth = float(step.service.kept_energy[battery])
     if limit == "energy" and not step.off_later:
         words = "Discharges: supplies customers with all that it may give"

@@ -90,7 +90,7 @@ def pounds(value: float) -> str:
 def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     """The value of one more unit of the binding limit, without a full stop; empty if none.
 
-    Of ratings that of a line or a phase, the most valuable one if none is given.
+    ``which`` is a battery, or of ratings a line or a phase; the most valuable one if not given.
     """
     p = step.service
     if p is None:
@@ -103,12 +103,12 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
         offers = [(_largest(p.stored_energy), "one more stored kWh")]
     elif binding == "power":
         offers = [
-            _dearest("one more kW of battery", batteries, p.battery_discharging),
+            _dearest("one more kW of battery", batteries, p.battery_discharging, which),
             _dearest("one more kW at bus", buses, p.active),
         ]
     elif binding == "inverter":
         offers = [
-            _dearest("one more kVA of battery", batteries, p.battery_inverter),
+            _dearest("one more kVA of battery", batteries, p.battery_inverter, which),
             _dearest("one more kvar at bus", buses, p.reactive),
         ]
     elif binding == "voltage":
@@ -207,6 +207,11 @@ def _largest(values: Floats) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
-def _dearest(what: str, names: Names, values: Floats) -> tuple[float, str]:
-    """The highest of some values, and at which of the names it is."""
-    return _largest(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what
+def _dearest(
+    what: str, names: Names, values: Floats, which: int | None = None
+) -> tuple[float, str]:
+    """The highest of some values, or a given one, and at which of the names it is."""
+    if not len(values):
+        return 0.0, what
+    at = int(np.argmax(values)) if which is None else which
+    return float(values[at]), f"{what} {names[at]}"

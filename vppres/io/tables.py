@@ -248,12 +248,21 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, list[Problem]]:
     if not rows:
         problem = Problem(path.name, "is empty", "Write a header row with column names.")
         return pd.DataFrame(), [problem]
+    rows = _named_part(rows)
     problems = _check_header(path.name, rows[0])
     if not _is_separated_otherwise(rows[0]):
         problems += _check_ragged(path.name, rows, lines)
     if problems:
         return pd.DataFrame(), problems
     return pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0], dtype=object), []
+
+
+def _named_part(rows: list[list[str]]) -> list[list[str]]:
+    """The rows without the empty columns that spreadsheets write after the last one."""
+    named = max((i for i, name in enumerate(rows[0], start=1) if name), default=0)
+    if named == len(rows[0]) or any(any(cells[named:]) for cells in rows):
+        return rows
+    return [cells[:named] for cells in rows]
 
 
 def _is_separated_otherwise(header: list[str]) -> bool:

@@ -58,10 +58,10 @@ def priced(run: FinishedRun, voll_gbp_per_kwh: float) -> FinishedRun:
     return FinishedRun(run.folder, trajectory, summary)
 
 
-def in_utc(run: FinishedRun) -> FinishedRun:
-    """The run with times in UTC, whatever the clocks on the site show."""
+def in_zone(run: FinishedRun, zone: str = UTC) -> FinishedRun:
+    """The run with times of a zone, UTC if not given, whatever the clocks on the site show."""
     day = run.trajectory.scenario
-    day = replace(day, grid=replace(day.grid, zone=UTC))
+    day = replace(day, grid=replace(day.grid, zone=zone))
     return replace(run, trajectory=replace(run.trajectory, scenario=day))
 
 

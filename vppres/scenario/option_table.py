@@ -176,6 +176,11 @@ IMPORT_OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "import_
 _BY_FIELD = {option.field: option for option in OPTIONS}
 
 
+def option_of(field: str) -> Option:
+    """The option that fills a field of ``RunOptions``."""
+    return _BY_FIELD[field]
+
+
 def default_of(field: str) -> Any:
     """Default of the option that fills a field of ``RunOptions``.
 

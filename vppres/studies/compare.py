@@ -16,7 +16,7 @@ from vppres.report.answer import answer
 from vppres.report.assumptions import value_words
 from vppres.report.clock import Clock
 from vppres.report.findings import findings
-from vppres.report.finished import FinishedRun, read_finished
+from vppres.report.finished import FinishedRun, in_zone, read_finished
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
 from vppres.report.pages import page
 from vppres.report.plots.drawing import RUN_STYLES
@@ -75,10 +75,14 @@ def read_runs(folders: Sequence[Path]) -> dict[str, FinishedRun]:
     if problems:
         raise InputError(problems)
     names = Counter(folder.resolve().name for folder in folders)
-    runs = {}
+    runs: dict[str, FinishedRun] = {}
     for folder in folders:
         name = folder.resolve().name
-        runs[name if names[name] == 1 else str(folder)] = read_finished(folder)
+        label = name if names[name] == 1 else str(folder)
+        run = read_finished(folder)
+        first = next(iter(runs.values()), run)
+        # One page has one clock; the steps are the same whatever clock they are read on.
+        runs[label] = in_zone(run, first.trajectory.scenario.grid.zone)
     problems = _problems_of_days(list(runs.values()))
     if problems:
         raise InputError(problems)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -21,12 +21,12 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.core.errors import InputError, SolveError, VerificationError
+from vppres.core.errors import InputError, SolveError, StorageError, VerificationError
 from vppres.day.options import RunOptions
 from vppres.day.series import off_kw
 from vppres.day.simulate import Progress, run_day
 from vppres.day.trajectory import WHOLE_SHARE
-from vppres.io.atomic import atomic_write_text
+from vppres.io.atomic import atomic_write_text, is_full
 from vppres.io.digest import scenario_digest
 from vppres.scenario.assets import Customers
 from vppres.scenario.parts import split_sheddable
@@ -335,11 +335,28 @@ def survival(
         If an outage has no answer, or its process died.
     """
     begin(folder)
+    return _tried(variants, tried, folder, where, progress)
+
+
+@contextmanager
+def kept_in(folder: Path) -> Iterator[None]:
+    """Say what is kept of a study that breaks off, and why its folder takes no more."""
+    goes_on = f"what is finished is kept in {folder}, and the same command goes on."
     try:
-        return _tried(variants, tried, folder, where, progress)
+        yield
     except KeyboardInterrupt as interrupt:
-        interrupt.add_note(f"what is finished is kept in {folder}, and the same command goes on.")
+        interrupt.add_note(goes_on)
         raise
+    except OSError as error:
+        if is_full(error):
+            raise StorageError(f"The disk is full, or a quota is reached; {goes_on}") from error
+        if error.filename is None:
+            raise
+        raise InputError.of(
+            str(folder),
+            f"cannot be written ({error.strerror})",
+            "Choose another folder, or check its permissions.",
+        ) from error
 
 
 def _tried(

@@ -12,6 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from vppres.core.plain import json_safe
+from vppres.day.unused import beyond_limits
 from vppres.io.atomic import atomic_write_text
 from vppres.report.key_figures import number
 from vppres.report.pages import page
@@ -62,7 +63,7 @@ def write_survival(study: Survival, folder: Path) -> dict[str, Any]:
 
 
 def answers(study: Survival, table: pd.DataFrame) -> list[str]:
-    """Supply that the first tier can rely on, a sentence for each variant."""
+    """Supply that the first tier can rely on, a sentence for each variant, and what limits say."""
     found = []
     for variant in study.variants:
         rows = table[table["variant"] == variant.name]
@@ -76,7 +77,9 @@ def answers(study: Survival, table: pd.DataFrame) -> list[str]:
             f"{start}the tier {first['tier'].iloc[0]} keeps supply throughout an outage of "
             f"{', '.join(said)} of {int(first['onsets'].iloc[0])} onsets."
         )
-    return [words[:1].upper() + words[1:] for words in found]
+    site, charged = study.variants[0].site, study.tried.charged
+    beyond = [] if charged is None else beyond_limits("--charged", charged, site.batteries)
+    return [*(words[:1].upper() + words[1:] for words in found), *beyond]
 
 
 def _interval(study: Survival, row: Any) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -85,6 +86,18 @@ class Series:
     notes: tuple[str, ...] = ()
 
 
+def _together(problems: list[Problem]) -> Iterator[Problem]:
+    """Problems that several series of a file have alike, each told once."""
+    alike: dict[tuple[Any, ...], list[Problem]] = {}
+    for one in problems:
+        alike.setdefault((one.where, one.message, one.cure, one.value), []).append(one)
+    for first, *others in alike.values():
+        if others:
+            fields = [str(one.field) for one in (first, *others)]
+            first = replace(first, field="time", message=f"{first.message} ({named(fields, 5)})")
+        yield first
+
+
 @dataclass(frozen=True)
 class _Target:
     """Target of a series: one position of a kind, and the power that 1 pu means."""
@@ -158,7 +171,7 @@ def place_profiles(
     problems += _negative(pv_kw, assets.pv.id, "system", standby, files, grid)
     problems += _too_large(pv_kw, assets, files, grid)
     if problems:
-        raise InputError(folded(problems))
+        raise InputError(folded(_together(problems)))
     notes = [
         _told_origin(profiles),
         *_told_energy(as_energy),

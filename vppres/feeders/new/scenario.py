@@ -192,7 +192,9 @@ def _series(
 def _given_profiles(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Profile]:
     """Series of the network itself, or of files."""
     if str(options.profiles) != OWN_PROFILES:
-        reading = FileDefaults(options.time_zone, options.profile_unit)
+        reading = FileDefaults(
+            options.time_zone, options.profile_unit, options.profile_step_minutes
+        )
         return read_profiles(str(options.profiles), reading)
     if feeder.profiles:
         return [*feeder.profiles]

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,19 +30,21 @@ UNITS_CURE = "End the column's or the file's name in _kw, _mw, _pu or, for energ
 
 @dataclass(frozen=True)
 class FileDefaults:
-    """Zone of times without offset, and unit such as ``kw``, of files that say none."""
+    """Zone of times without offset, unit such as ``kw``, and minutes of a row, where not said."""
 
     zone: str | None = None
     unit: str | None = None
+    row_minutes: float | None = None
 
 
 def read_profiles(path: str | Path, reading: FileDefaults) -> list[Profile]:
     """Series of a file, or of all CSV and Parquet files of a folder.
 
-    A file has a column of times (``time``, ``timestamp`` or ``datetime``) and is of one of three
-    kinds: long, with the columns ``id`` and a value; of one asset, after which the file is named,
-    with a single column named ``value``, ``p`` or after a unit; or wide, with a column for each
-    asset. The unit is the end of a column's or file's name, such as ``_kw``, or ``reading``'s.
+    A file has a column of times (``time``, ``timestamp`` or ``datetime``), or rows of a given
+    length. It is of one of three kinds: long, with the columns ``id`` and a value; of one asset,
+    after which the file is named, with a single column named ``value``, ``p`` or after a unit; or
+    wide, with a column for each asset. The unit is the end of a column's or file's name, such as
+    ``_kw``, or ``reading``'s.
     """
     path = Path(path)
     profiles: list[Profile] = []
@@ -83,12 +86,13 @@ def _read(table: Table, reading: FileDefaults) -> tuple[list[Profile], list[Prob
     frame = table.frame
     names = {str(name).strip().lower(): str(name) for name in frame.columns}
     clock = next((names[word] for word in TIMES if word in names), None)
-    if clock is None:
+    if clock is None and reading.row_minutes is None:
         return [], [
             Problem(
                 table.file,
                 "has no column of times",
-                f"Name it {TIMES[0]}; the other columns are assets, or id and value.",
+                f"Name it {TIMES[0]}; the other columns are assets, or id and value. Without "
+                "times say how long a row is with --profile-step.",
             )
         ]
     key = next((names[word] for word in IDS if word in names), None)
@@ -101,10 +105,10 @@ def _read(table: Table, reading: FileDefaults) -> tuple[list[Profile], list[Prob
 
 
 def _wide(
-    table: Table, clock: str, columns: list[str], reading: FileDefaults
+    table: Table, clock: str | None, columns: list[str], reading: FileDefaults
 ) -> tuple[list[Profile], list[Problem]]:
     """A column for each asset; a single column of values is that of the file's asset."""
-    times, problems = in_utc(pd.Index(table.frame[clock]), reading.zone, table.file, clock)
+    times, problems = _times(table, clock, slice(None), reading)
     stem, file_unit = _named(Path(table.file).stem)
     single = len(columns) == 1 and _is_value(columns[0])
     profiles = []
@@ -122,7 +126,7 @@ def _wide(
 
 
 def _long(
-    table: Table, clock: str, key: str, columns: list[str], reading: FileDefaults
+    table: Table, clock: str | None, key: str, columns: list[str], reading: FileDefaults
 ) -> tuple[list[Profile], list[Problem]]:
     """One row for each time and asset; hours that clocks show twice are distinguished by asset."""
     if len(columns) > 1:
@@ -139,14 +143,21 @@ def _long(
     profiles = []
     for name in dict.fromkeys(ids):
         rows = np.flatnonzero(ids == name)
-        times, found = in_utc(
-            pd.Index(table.frame[clock].iloc[rows]), reading.zone, table.file, clock
-        )
+        times, found = _times(table, clock, rows, reading)
         problems += found
         if len(times):
             series = pd.Series(values[rows], times)
             profiles.append(Profile(table.file, str(name), series, unit or reading.unit or ""))
     return profiles, problems
+
+
+def _times(
+    table: Table, clock: str | None, rows: Any, reading: FileDefaults
+) -> tuple[pd.Index, list[Problem]]:
+    """Times of some rows in UTC, or their numbers in a file without times."""
+    if clock is None:
+        return pd.RangeIndex(len(table.frame.iloc[rows])), []
+    return in_utc(pd.Index(table.frame[clock].iloc[rows]), reading.zone, table.file, clock)
 
 
 def _numbers(table: Table, column: str) -> tuple[np.ndarray, list[Problem]]:
