@@ -125,7 +125,6 @@ def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     feeder = import_network(net)
     v_pu, losses_kw = differences(net, feeder)
     assert (v_pu, losses_kw) == pytest.approx((0.0, 0.0), abs=AGREEMENT)
-    assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu < AGREEMENT
     assert str(feeder.deviation).startswith(
         "Voltages are identical to the source's power flow (within 1e-6 pu)."
@@ -158,7 +157,7 @@ def test_taps_charging_and_shunts_are_the_source_s() -> None:
     v_pu, _ = differences(net, feeder)
     assert v_pu < 1e-8
     stated = feeder.deviation
-    assert stated is not None and stated.no_load_pu is not None
+    assert stated.no_load_pu is not None
     assert max(stated.v_max_pu, stated.no_load_pu) < 1e-8
     assert stated.losses_kw == pytest.approx(stated.losses_source_kw, abs=1e-3)
     assert feeder.network.has_ratios and feeder.network.has_charging and feeder.network.has_draws
@@ -219,7 +218,7 @@ def test_what_differs_needs_to_be_accepted(tmp_path: Path) -> None:
     net.load[["p_mw", "q_mvar"]] *= 15
     net.load["const_z_p_percent"] = net.load["const_z_q_percent"] = 100.0
     feeder = import_network(net)
-    assert feeder.deviation is not None and feeder.deviation.v_max_pu > 0.005
+    assert feeder.deviation.v_max_pu > 0.005
     with pytest.raises(InputError, match=r"loads of constant impedance .* --accept-deviation"):
         write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "refused")
     assert not (tmp_path / "refused").exists()
@@ -264,7 +263,6 @@ def test_every_simplification_has_its_note() -> None:
         "Batteries without a state of charge begin at their lowest: storage 0.",
         "Batteries without an efficiency have 0.95 each way: storage 0.",
     )
-    assert feeder.deviation is not None
     assert 0 < feeder.deviation.v_max_pu < 1e-3
     assert feeder.generators.id.tolist() == ["sgen 0", "gen 0 (hydro)"]
     assert feeder.generators.p_kw == pytest.approx([120.0, 100.0])
@@ -442,7 +440,6 @@ def test_matpower_case(write: Callable[[Path], Path], parallel: int, tmp_path: P
     # 0.05 pu at 12.66 kV and 10 MVA
     assert feeder.network.r_ohm == pytest.approx([0.05 * 12.66**2 / 10 / parallel])
     assert feeder.p_load_kw == pytest.approx([0.0, 300.0])
-    assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu < AGREEMENT
 
 
@@ -584,7 +581,6 @@ def test_simbench_grid_by_its_code() -> None:
     pytest.importorskip("simbench")
     feeder = import_network("1-LV-rural1--0-sw", source="simbench")
     assert (feeder.network.n_buses, len(feeder.generators)) == (15, 4)
-    assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu < 1e-4
 
 

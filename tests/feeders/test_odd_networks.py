@@ -318,7 +318,7 @@ def test_odd_net_has_its_own_voltages(change: Change, note: str) -> None:
     if note != SWITCHED:  # pandapower divides by zero
         assert apart_pu(net, feeder) < AGREEMENT_PU
     given = feeder.deviation
-    assert given is not None and given.v_max_pu < AGREEMENT_PU
+    assert given.v_max_pu < AGREEMENT_PU
     assert given.losses_kw == pytest.approx(given.losses_source_kw, rel=1e-5)
     assets = new_assets(feeder, NewScenarioOptions())
     notes = [*feeder.notes, *assets.notes]
@@ -443,7 +443,7 @@ def test_odd_net_by_phase_has_its_own_voltages(change: Change, note: str) -> Non
     change(net)
     feeder = import_network(net)
     phased = feeder.phased
-    assert phased is not None and phased.difference_pu is not None
+    assert phased.difference_pu is not None
     assert phased.difference_pu < AGREEMENT_PU
     assets = new_assets(feeder, NewScenarioOptions())
     notes = [*feeder.notes, *assets.notes]
