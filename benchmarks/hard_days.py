@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.frame.random_feeders import names, random_rules
+from benchmarks.frame.random_feeders import most_drop, names, random_past, random_rules, tree
 from benchmarks.frame.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
@@ -290,30 +290,12 @@ def _network(
     x = r / rng.uniform(*((2.0, 8.0) if low else (0.8, 2.5)), n_buses - 1)
     base_kv = 0.4 if low else 11.0
     peak = load_kw[int(load_kw.sum(axis=1).argmax())]
-    tan_phi = np.sqrt(1.0 / customers.power_factor**2 - 1.0)
-    p, q = (np.zeros(n_buses + 1) for _ in range(2))
-    np.add.at(p, customers.bus.astype(int), peak)
-    np.add.at(q, customers.bus.astype(int), peak * tan_phi)
-    for n in range(n_buses, 1, -1):
-        p[above[n - 2]] += p[n]
-        q[above[n - 2]] += q[n]
-    drop = np.zeros(n_buses + 1)
-    for n in range(2, n_buses + 1):
-        line = 2.0 * (r[n - 2] * p[n] + x[n - 2] * q[n]) / (1000.0 * base_kv**2)
-        drop[n] = drop[above[n - 2]] + line
+    drop = most_drop(above, r, x, customers, peak, base_kv)
     v_min_pu, v_max_pu = (0.97, 1.03) if "tight" in traits else (0.947, 1.053)
     v_lowest = v_min_pu + rng.uniform(-0.03, 0.02)
-    wanted = (1.0 - v_lowest**2) / drop.max()
-    return Network(
-        np.array(above, dtype=object),
-        np.arange(2, n_buses + 1).astype(object),
-        r * wanted,
-        x * wanted,
-        slack_bus=1,
-        base_kv=base_kv,
-        v_min_pu=v_min_pu,
-        v_max_pu=v_max_pu,
-    )
+    wanted = (1.0 - v_lowest**2) / drop
+    limits = {"v_min_pu": v_min_pu, "v_max_pu": v_max_pu}
+    return tree(above, r * wanted, x * wanted, base_kv=base_kv, **limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,13 +353,7 @@ def hard_window(kind: str, seed: int) -> HardWindow:
 
 
 def _past(rng: Generator, scenario: Scenario) -> SwitchingState:
-    """Who was served before, since when and after how many actions."""
-    count, dt_h = len(scenario.customers), scenario.grid.dt_h
-    if not scenario.switching.active:
-        return SwitchingState.start(scenario.switching, dt_h, count)
-    served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
-    untouched = served & (rng.random(count) < 0.5)
-    since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
-    actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
-    anytime = np.full(count, np.inf)
-    return SwitchingState(scenario.switching, dt_h, served, since_h, actions.astype(float), anytime)
+    """Random past of the customers, where there are rules."""
+    if scenario.switching.active:
+        return random_past(rng, scenario.switching, scenario)
+    return SwitchingState.start(scenario.switching, scenario.grid.dt_h, len(scenario.customers))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
+from benchmarks.frame.usual_battery import USUAL_BATTERY
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
@@ -115,14 +116,18 @@ def random_rules(seed: int) -> SwitchingRules:
 def random_state(seed: int, scenario: Scenario) -> SwitchingState:
     """Random rules, and customers with a random past."""
     rng = np.random.default_rng([seed, 3])
-    count = len(scenario.customers)
-    dt_h = scenario.grid.dt_h
+    return random_past(rng, random_rules(seed), scenario)
+
+
+def random_past(rng: Generator, rules: SwitchingRules, scenario: Scenario) -> SwitchingState:
+    """Who was served before, since when and after how many actions."""
+    count, dt_h = len(scenario.customers), scenario.grid.dt_h
     served = rng.random(count) < rng.choice([0.5, 0.9, 1.0])
     untouched = served & (rng.random(count) < 0.5)
     since_h = np.where(untouched, np.inf, dt_h * rng.integers(1, 5, count))
     actions = np.where(untouched, 0, 2 - 1 * ~served + 2 * rng.integers(0, 2, count))
     anytime = np.full(count, np.inf)
-    return SwitchingState(random_rules(seed), dt_h, served, since_h, actions.astype(float), anytime)
+    return SwitchingState(rules, dt_h, served, since_h, actions.astype(float), anytime)
 
 
 def names(letter: str, numbers: Iterable[int]) -> Names:
@@ -164,30 +169,22 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
     count = int(rng.choice([0, 1, 2, 3, 5], p=[0.2, 0.2, 0.2, 0.2, 0.2]))
     p = peak_kw * rng.uniform(0.1, 0.4, count)
     soc_min = rng.uniform(0.05, 0.2, count)
-    paper = {
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": 22.0,
+    alike = {**USUAL_BATTERY, "t_initial_c": 22.0}
+    drawn = {
+        "id": names("b", range(count)),
+        "bus": rng.integers(2, n_buses + 1, count).astype(object),
+        "energy_kwh": p * rng.uniform(0.5, 3.0, count),
+        "p_max_kw": p,
+        "s_max_kva": p * rng.uniform(0.8 if stressed else 1.0, 1.3, count),
+        "soc_min": soc_min,
+        "soc_max": rng.uniform(0.8, 0.95, count),
+        "soc_initial": rng.uniform(soc_min, 0.8),
+        "eta_charge": rng.uniform(0.85, 0.99, count),
+        "eta_discharge": rng.uniform(0.85, 0.99, count),
+        "r_theta_c_per_kw": rng.uniform(2.8, 4.4, count),
+        "c_theta_kwh_per_c": rng.uniform(0.11, 0.43, count),
     }
-    return Batteries(
-        id=names("b", range(count)),
-        bus=rng.integers(2, n_buses + 1, count).astype(object),
-        energy_kwh=p * rng.uniform(0.5, 3.0, count),
-        p_max_kw=p,
-        s_max_kva=p * rng.uniform(0.8 if stressed else 1.0, 1.3, count),
-        soc_min=soc_min,
-        soc_max=rng.uniform(0.8, 0.95, count),
-        soc_initial=rng.uniform(soc_min, 0.8),
-        eta_charge=rng.uniform(0.85, 0.99, count),
-        eta_discharge=rng.uniform(0.85, 0.99, count),
-        r_theta_c_per_kw=rng.uniform(2.8, 4.4, count),
-        c_theta_kwh_per_c=rng.uniform(0.11, 0.43, count),
-        **{name: np.full(count, value) for name, value in paper.items()},
-    )
+    return Batteries(**{name: np.full(count, value) for name, value in alike.items()} | drawn)
 
 
 def random_network(
@@ -197,6 +194,16 @@ def random_network(
     above = [int(rng.integers(max(1, n - 3), n)) for n in range(2, n_buses + 1)]
     r = rng.uniform(0.2, 1.0, n_buses - 1)
     x = r * rng.uniform(0.3, 1.0, n_buses - 1)
+    drop = most_drop(above, r, x, customers, peak_kw, BASE_KV)
+    wanted = (1.0 - rng.uniform(*V_FULL_LOAD[stressed]) ** 2) / drop
+    return tree(above, r * wanted, x * wanted, base_kv=BASE_KV)
+
+
+def most_drop(
+    above: list[int], r: Floats, x: Floats, customers: Customers, peak_kw: Floats, base_kv: float
+) -> float:
+    """Largest drop of squared voltage in a tree without losses, in pu, at the customers' peaks."""
+    n_buses = len(above) + 1
     demand = np.zeros((2, n_buses + 1))
     tan_phi = np.sqrt(1 / customers.power_factor**2 - 1)
     for kind, power in enumerate((peak_kw, peak_kw * tan_phi)):
@@ -205,17 +212,15 @@ def random_network(
         demand[:, above[n - 2]] += demand[:, n]
     drop = np.zeros(n_buses + 1)
     for n in range(2, n_buses + 1):
-        flow = 2 * (r[n - 2] * demand[0, n] + x[n - 2] * demand[1, n]) / (1000 * BASE_KV**2)
+        flow = 2 * (r[n - 2] * demand[0, n] + x[n - 2] * demand[1, n]) / (1000 * base_kv**2)
         drop[n] = drop[above[n - 2]] + flow
-    wanted = (1.0 - rng.uniform(*V_FULL_LOAD[stressed]) ** 2) / drop.max()
-    return Network(
-        np.array(above, dtype=object),
-        np.arange(2, n_buses + 1).astype(object),
-        r * wanted,
-        x * wanted,
-        slack_bus=1,
-        base_kv=BASE_KV,
-    )
+    return float(drop.max())
+
+
+def tree(above: list[int], r_ohm: Floats, x_ohm: Floats, **more: Any) -> Network:
+    """A network whose buses from 2 on hang below others."""
+    below = np.arange(2, len(above) + 2).astype(object)
+    return Network(np.array(above, dtype=object), below, r_ohm, x_ohm, slack_bus=1, **more)
 
 
 def _prices(rng: Generator, steps: int) -> Floats:

@@ -244,7 +244,6 @@ def test_no_check_fires_under_ideal_conditions(full_horizon: Trajectory) -> None
 
 
 def test_full_horizon_does_what_it_planned(full_horizon: Trajectory) -> None:
-    assert full_horizon.planned is not None
     steps, energy = len(full_horizon.steps), full_horizon.scenario.batteries.energy_kwh
     done = full_horizon.customers["served"].to_numpy().reshape(steps, -1)
     assert (done == np.array(full_horizon.planned["served"])).all()

@@ -17,6 +17,7 @@ from vppres import RunOptions, run_day
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.inversions import inversions
 from vppres.day.metrics import cautions
+from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.report.events import events_of
@@ -35,14 +36,34 @@ def with_fault(day: Scenario, **place: object) -> Scenario:
     return replace(day, grid_limit_kw=limit_kw, faults=(fault,))
 
 
-def test_a_part_without_a_former_is_dark_by_name(tiny: Scenario, tmp_path: Path) -> None:
+NO_FORMER = "no battery forms the grid behind line 2-4, which is out"
+
+
+def cut_off(tiny: Scenario) -> Scenario:
+    """The homes cut off by a fault, with a battery that forms no grid."""
     named = replace(tiny.batteries, grid_forming=[True, False])
-    write_scenario(with_fault(replace(tiny, batteries=named), line=4), tmp_path / "day")
-    run = run_day(read_scenario(tmp_path / "day"), PAPER)
+    return with_fault(replace(tiny, batteries=named), line=4)
+
+
+def assert_homes_are_off(run: Trajectory) -> None:
+    """During the fault, and then alone."""
     homes = run.customers[run.customers["id"] == "homes"]
     assert homes["served"].tolist() == [True, True, False, False, True, True]
-    reason = "no battery forms the grid behind line 2-4, which is out"
-    assert homes["off_by_fault"].tolist() == ["", "", reason, reason, "", ""]
+
+
+def assert_off_for(run: Trajectory, reason: str) -> None:
+    """All who are off are so by the fault, with these words."""
+    off = run.explanations[run.explanations["action"] == "not_served"]
+    assert set(off["driver"]) == {"fault"}
+    assert set(off["words"]) == {f"Not supplied: {reason}."}
+
+
+def test_a_part_without_a_former_is_dark_by_name(tiny: Scenario, tmp_path: Path) -> None:
+    write_scenario(cut_off(tiny), tmp_path / "day")
+    run = run_day(read_scenario(tmp_path / "day"), PAPER)
+    assert_homes_are_off(run)
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["off_by_fault"].tolist() == ["", "", NO_FORMER, NO_FORMER, "", ""]
     others = run.customers[run.customers["id"] != "homes"]
     assert others["served"].all()
     assert not (others["off_by_fault"] != "").any()
@@ -91,15 +112,10 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
 
 
 def test_a_part_with_phases_is_dark_by_name(tiny: Scenario) -> None:
-    named = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=named), line=4)
-    run = run_day(three_phases(day), PHYSICAL)
+    run = run_day(three_phases(cut_off(tiny)), PHYSICAL)
+    assert_homes_are_off(run)
     homes = run.customers[run.customers["id"] == "homes"]
-    assert homes["served"].tolist() == [True, True, False, False, True, True]
-    assert set(homes["off_by_fault"][2:4]) == {
-        "no battery forms the grid behind line 2-4, which is out"
-    }
-    assert run.nodes is not None
+    assert set(homes["off_by_fault"][2:4]) == {NO_FORMER}
     dark = run.nodes["v_ac_pu"].isna()
     assert set(run.nodes["bus"][dark]) == {"4"} and dark.sum() == 2 * 3
 
@@ -139,7 +155,6 @@ def test_each_part_of_an_unbalanced_feeder_has_its_own_former(seed: int) -> None
     most_kva = float(day.batteries.s_max_kva.max()) / 3.0
     kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
     assert np.nanmax(kva, initial=0.0) <= most_kva + 1e-3
-    assert run.explanations is not None
     off = run.explanations[run.explanations["action"] == "not_served"]
     planned = run.by_step("customers", "off_by_fault")[1:]
     assert (off["driver"] == "fault").sum() >= (planned != "").sum()
@@ -151,7 +166,7 @@ def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
     """A former gives nothing beyond its plan, and who is planned is on, but for what is unknown."""
     day = faulted_day(seed, steps=3)
     known = replace(day, faults=tuple(replace(fault, known=True) for fault in day.faults))
-    run = run_day(known, replace(PAPER, mode="physical"))
+    run = run_day(known, PHYSICAL)
     assert set(run.steps["fallback"]) == {"none"}
     assert run.steps["shed_kw"].max() == 0.0
     assert run.steps["island_mismatch_kw"].abs().max() < 0.1
@@ -160,15 +175,9 @@ def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
 
 
 def test_words_name_the_fault(tiny: Scenario) -> None:
-    named = replace(tiny.batteries, grid_forming=[True, False])
-    run = explain_day(run_day(with_fault(replace(tiny, batteries=named), line=4), PAPER))
-    told = run.explanations
-    assert told is not None
-    off = told[told["action"] == "not_served"]
-    assert set(off["driver"]) == {"fault"}
-    reason = "no battery forms the grid behind line 2-4, which is out"
-    assert set(off["words"]) == {f"Not supplied: {reason}."}
-    assert f"Blacked out for 2 customer hours: {reason}." in cautions(run)
+    run = explain_day(run_day(cut_off(tiny), PAPER))
+    assert_off_for(run, NO_FORMER)
+    assert f"Blacked out for 2 customer hours: {NO_FORMER}." in cautions(run)
     events = [(event.t, event.words) for event in events_of(run)]
     assert (2, "Line 2-4 out of service.") in events
     assert (4, "Line 2-4 in service again.") in events
@@ -181,7 +190,6 @@ def test_each_part_has_a_set_that_forms_its_grid(tiny: Scenario) -> None:
     day = with_fault(replace(tiny, gensets=sets, batteries=empty), line=4)
     [fault] = day.faults
     run = run_day(replace(day, faults=(fault, replace(fault, line=2))), PHYSICAL)
-    assert run.gensets is not None
     forms = run.gensets.pivot(index="time", columns="genset", values="forms").to_numpy(bool)
     assert forms.tolist() == [[2 <= t < 4] * 2 for t in range(6)]
     lit = run.buses.pivot(index="time", columns="bus", values="v_ac_pu").notna()
@@ -190,9 +198,8 @@ def test_each_part_has_a_set_that_forms_its_grid(tiny: Scenario) -> None:
 
 def test_a_part_beside_the_grid_is_explained_as_an_island(tiny: Scenario) -> None:
     """The price, export and voltage of the part with the grid are none of its own."""
-    run = explain_day(run_day(with_fault(tiny, line=4), replace(PAPER, mode="physical")))
+    run = explain_day(run_day(with_fault(tiny, line=4), PHYSICAL))
     told = run.explanations
-    assert told is not None
     during = told[told["time"].isin(run.steps["time"][2:4])]
     steps = during[during["item"] == "step"]
     assert set(steps["driver"]) == {"fault"}
@@ -225,12 +232,8 @@ def test_a_part_that_has_too_little_is_named(tiny: Scenario) -> None:
     """Battery and PV power of the homes carry less than their demand."""
     named = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])
     run = explain_day(run_day(with_fault(replace(tiny, batteries=named), line=4), PAPER))
-    told = run.explanations
-    assert told is not None
-    off = told[told["action"] == "not_served"]
-    assert set(off["driver"]) == {"fault"}
     words = "the part behind line 2-4, which is out, has too little power or energy"
-    assert set(off["words"]) == {f"Not supplied: {words}."}
+    assert_off_for(run, words)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -253,9 +256,6 @@ def test_fallbacks_keep_the_balance_of_each_part(seed: int, known: bool) -> None
 
 @pytest.mark.parametrize("kind", ["idle", "reserve"])
 def test_baselines_know_the_parts(tiny: Scenario, kind: str) -> None:
-    named = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=named), line=4)
-    run = run_day(day, replace(PAPER, controller=kind))
+    run = run_day(cut_off(tiny), replace(PAPER, controller=kind))
     assert set(run.steps["fallback"]) == {"none"}
-    homes = run.customers[run.customers["id"] == "homes"]
-    assert homes["served"].tolist() == [True, True, False, False, True, True]
+    assert_homes_are_off(run)

@@ -52,9 +52,14 @@ def with_fault(day: Scenario, switches: Switches, **fault: object) -> Scenario:
     return replace(day, grid_limit_kw=limit_kw, faults=(found,), switches=switches)
 
 
+def cut_off(tiny: Scenario, **columns: object) -> Scenario:
+    """The homes cut off by a fault, with a battery that forms no grid and a tie from bus 3."""
+    stores = replace(tiny.batteries, grid_forming=[True, False])
+    return with_fault(replace(tiny, batteries=stores), ties((3, 4), **columns), line=4)
+
+
 def test_a_tie_takes_over_behind_a_fault(tiny: Scenario, tmp_path: Path) -> None:
-    named = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=named), ties((3, 4)), line=4)
+    day = cut_off(tiny)
     write_scenario(day, tmp_path / "day")
     run = run_day(read_scenario(tmp_path / "day"), MOVING)
     assert run.customers["served"].all()
@@ -91,16 +96,14 @@ def test_a_tie_that_is_called_as_the_line_beside_it_is_told_apart(
 
 
 def test_a_tie_of_three_phases_takes_over_behind_a_fault(tiny: Scenario) -> None:
-    named = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=named), ties((3, 4)), line=4)
-    run = run_day(three_phases(day), replace(MOVING, mode="physical"))
+    run = run_day(three_phases(cut_off(tiny)), replace(MOVING, mode="physical"))
     assert run.customers["served"].all()
     assert run.steps["switched"].tolist() == ["", "", "closed 3-4, opened 2-4", "", "", ""]
     order = run.steps["switching_order"].iloc[2].splitlines()
     assert [one.split(":")[0] for one in order] == ["open 2-4", "close 3-4"]
     assert "lowest voltage" in order[1] and "margin" in order[1]
     assert run.steps["v_error_pu"].max() < 1e-4
-    assert run.nodes is not None and not run.nodes["v_ac_pu"].isna().any()
+    assert not run.nodes["v_ac_pu"].isna().any()
 
 
 @pytest.mark.daily
@@ -120,7 +123,6 @@ def test_a_tie_of_an_unbalanced_feeder_takes_over_behind_a_fault(tmp_path: Path)
     assert moved.steps["switched"].tolist() == ["", "closed t, opened m-e", "", ""]
     assert (moved.steps["status"] == "optimal").all()
     assert moved.steps["v_error_pu"].max() < 1e-4
-    assert moved.nodes is not None
     net = day.network
     assert moved.nodes["v_ac_pu"].between(net.v_min_ac_pu, net.v_max_ac_pu).all()
 
@@ -186,9 +188,7 @@ def test_words_say_why_no_order_leads_to_what_would_serve_more(
     reason = "No order keeps the rules in every state: open 2-4 (highest voltage 1.084 pu)."
     none = SwitchingOrder(None, reason, True, NO_MARGIN)
     monkeypatch.setattr(operations, "safe_order", lambda *_: none)
-    stores = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
-    run = run_day(day, MOVING, steps=3)
+    run = run_day(cut_off(tiny), MOVING, steps=3)
     assert (run.steps["switched"] == "").all()
     words = f"no way leads to switches that may serve more: {reason}".rstrip(".")
     assert run.steps["switching_why"].iloc[2] == words
@@ -196,18 +196,14 @@ def test_words_say_why_no_order_leads_to_what_would_serve_more(
 
 
 def test_an_operation_pays_its_price_and_a_day_has_so_many(tiny: Scenario) -> None:
-    stores = replace(tiny.batteries, grid_forming=[True, False])
     for column, value in (("operation_cost", 10.0), ("max_operations_per_day", 0.0)):
-        day = with_fault(replace(tiny, batteries=stores), ties((3, 4), **{column: [value]}), line=4)
-        run = run_day(day, MOVING)
+        run = run_day(cut_off(tiny, **{column: [value]}), MOVING)
         assert (run.steps["switched"] == "").all()
         assert not run.customers["served"].all()
 
 
 def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
-    stores = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
-    run = explain_day(run_day(day, MOVING))
+    run = explain_day(run_day(cut_off(tiny), MOVING))
     words = "closing 3-4 serves 1 customer until 14:00"
     assert run.steps["switching_why"].iloc[2] == words
     opens, closes = shown_orders(run)
@@ -217,7 +213,6 @@ def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
     told = [(event.t, event.words) for event in events_of(run)]
     assert (2, sentence) in told and (4, "Line 2-4 repaired.") in told
     reasons = run.explanations
-    assert reasons is not None
     of_steps = reasons[reasons["item"] == "step"]["words"].tolist()
     assert of_steps[2].endswith(sentence)
     assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
@@ -225,9 +220,7 @@ def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
 
 def test_the_report_draws_the_feeder_before_and_after_switches_move(tiny: Scenario) -> None:
     """Bus 4 is cut off before, and has the grid over the tie after."""
-    stores = replace(tiny.batteries, grid_forming=[True, False])
-    day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
-    run = run_day(day, MOVING)
+    run = run_day(cut_off(tiny), MOVING)
     page = render_report(run, summarise(run))
     _, moment = page.split('<div class="moment">')
     assert "<h3>19 Jul 12:00: closed 3-4, opened 2-4</h3>" in moment
@@ -261,7 +254,6 @@ def test_words_tell_a_line_that_is_open_from_one_that_is_out(tiny: Scenario) -> 
         closed = branches.closed & (np.array(branches.names) != "2-4")
         run = explain_day(run_day(in_configuration(day, branches, closed).scenario, PAPER))
         told = run.explanations
-        assert told is not None
         homes = told[(told["item"] == "customer") & (told["id"] == "homes")]["words"]
         states = ["open", "open", "out", "out", "open", "open"]
         assert homes.tolist() == [f"Not supplied: {words.format(state)}." for state in states]
@@ -274,7 +266,6 @@ def test_words_say_that_no_switch_would_serve_more(tiny: Scenario) -> None:
     assert off.any()
     assert set(run.steps["switching_why"][off]) == {"no switch would serve more"}
     told = run.explanations
-    assert told is not None
     of_steps = told[told["item"] == "step"]["words"][off.tolist()]
     assert of_steps.str.contains("No switch would serve more.").all()
 

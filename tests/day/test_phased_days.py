@@ -40,6 +40,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     return day_of(STREET, tmp_path_factory.mktemp("street"))
 
 
+FORMER_KVA = ["former_a_kva", "former_b_kva", "former_c_kva"]
 FORMING = {
     "bus": "m", "p_max_kw": 28.8, "p_min_kw": 1.0, "power_factor": 0.8, "grid_forming": True,
     "tank_litres": 900.0, "fuel_level_litres": 900.0,
@@ -68,7 +69,7 @@ def connected(day: Scenario, coils: str, **units: Any) -> Scenario:
 def run_of(day: Scenario, **options: Any) -> Trajectory:
     """The day as it went; no phase of an island's former was beyond its rating."""
     run = run_day(day, RunOptions(**{"horizon_h": 2.0, "isolate": False} | options))
-    kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+    kva = run.steps[FORMER_KVA].to_numpy(float)
     assert np.nanmax(kva, initial=0.0) <= 12.0 + 1e-3
     assert (run.steps["dark_reason"] == "").all() and not run.steps["shed_kw"].any()
     assert (run.steps["fallback"] == "none").all()
@@ -80,7 +81,6 @@ def test_a_vehicle_charges_with_what_its_phase_has_left(street: Scenario) -> Non
     day = on_phase_a(street, [2.0] * 3, [DARK] * 3)
     day = connected(day, "a", chargers=chargers(customer="ca", bus=None, p_charge_kw=22.0))
     run = run_of(plugged_in(day, (0.0, 3.0), capacity_kwh=100.0, soc_needed=0.9))
-    assert run.vehicles is not None
     kw = run.vehicles["p_kw"].to_numpy(float)
     assert kw == pytest.approx(PHASE_KW - 2.0, abs=0.3)
     assert served(run)[:, 0].all()
@@ -90,7 +90,6 @@ def test_a_machine_that_cools_has_what_its_phase_has_left(street: Scenario) -> N
     day = on_phase_a(street, [2.0] * 2, [DARK] * 2)
     hot = homes("ca", p_max_kw=20.0, t_initial_c=40.0, c_kwh_per_c=50.0)
     run = run_of(connected(day, "a", thermal_loads=hot))
-    assert run.thermal_loads is not None
     assert run.thermal_loads["p_kw"].to_numpy(float) == pytest.approx(PHASE_KW - 2.0, abs=0.3)
 
 
@@ -103,11 +102,14 @@ def test_a_set_supplies_what_is_on_its_own_phase(street: Scenario, coils: str) -
     assert served(run)[:, 0].tolist() == [int(coils == "a")] * 2
 
 
-def no_battery_forms(day: Scenario) -> Scenario:
-    """The day with batteries that are small and form nothing."""
+def formed_by_a_set(street: Scenario, kw: list[float]) -> Scenario:
+    """Dark hours with 5 kW on phase b, formed by a set; batteries are small and form nothing."""
+    day = on_phase_a(street, kw, [DARK] * len(kw))
     b = day.batteries
-    none = np.zeros(len(b), dtype=bool)
-    return replace(day, batteries=replace(b, grid_forming=none, energy_kwh=np.full(len(b), 0.1)))
+    none = replace(b, grid_forming=np.zeros(len(b), dtype=bool), energy_kwh=np.full(len(b), 0.1))
+    load_kw = day.load_kw + np.array([0.0, 5.0, 0.0, 0.0])
+    day = replace(day, batteries=none, load_kw=load_kw)
+    return connected(day, "a b c", gensets=gensets(**FORMING))
 
 
 @pytest.mark.parametrize(("kw", "on"), [(8.0, 1), (14.0, 0)])
@@ -115,13 +117,10 @@ def test_a_set_alone_forms_an_island_and_gives_each_phase_what_it_lacks(
     street: Scenario, kw: float, on: int
 ) -> None:
     """A phase of the set carries 12 kVA, less its headroom; what it gives at least goes to phase b."""
-    day = no_battery_forms(on_phase_a(street, [kw] * 2, [DARK] * 2))
-    day = replace(day, load_kw=day.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
-    run = run_of(connected(day, "a b c", gensets=gensets(**FORMING)))
+    run = run_of(formed_by_a_set(street, [kw] * 2))
     assert (run.steps["former"] == "g0").all()
     assert served(run)[:, 0].tolist() == [on] * 2
     assert run.steps["former_a_kva"].to_numpy(float) == pytest.approx(kw * on, abs=0.3)
-    assert run.nodes is not None
     assert run.nodes["v_model_pu"].to_numpy() == pytest.approx(
         run.nodes["v_ac_pu"].to_numpy(), abs=1e-4
     )
@@ -135,7 +134,6 @@ def test_a_set_forms_the_island_while_the_battery_is_empty(street: Scenario) -> 
     run = run_of(day, horizon_h=3.0)
     assert run.steps["former"].tolist() == ["g0", "g0", "", "bd"]
     assert served(run)[:, 0].all()
-    assert run.gensets is not None
     assert run.gensets["running"].tolist() == [True, True, False, False]
 
 
@@ -143,14 +141,11 @@ def test_a_set_forms_the_island_while_the_battery_is_empty(street: Scenario) -> 
 def test_a_set_that_forms_gives_each_phase_what_it_lacks_without_a_solver_too(
     street: Scenario, kw: float, on: int
 ) -> None:
-    day = no_battery_forms(on_phase_a(street, [kw], [DARK]))
-    day = replace(day, load_kw=day.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
-    day = connected(day, "a b c", gensets=gensets(**FORMING))
-    run = failed(day)
+    run = failed(formed_by_a_set(street, [kw]))
     assert (run.steps["former"][0], run.steps["dark_reason"][0]) == ("g0", "")
     assert served(run)[0, :2].tolist() == [on, 1]
-    assert run.steps["shed_kw"].tolist() == [0.0] and run.gensets is not None
-    given_kw = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float).sum()
+    assert run.steps["shed_kw"].tolist() == [0.0]
+    given_kw = run.steps[FORMER_KVA].to_numpy(float).sum()
     assert run.gensets["p_kw"].tolist() == pytest.approx([given_kw], abs=0.2)
 
 
@@ -166,7 +161,6 @@ def test_what_a_set_gives_at_least_charges_a_battery_without_a_solver(
     run = failed(connected(replace(day, batteries=resting), "a b c", gensets=sets))
     assert served(run)[0, 0] == on
     assert (run.steps["former"][0] == "g0") == bool(on)
-    assert run.gensets is not None
     assert run.gensets["p_kw"].tolist() == pytest.approx([9.2 * on], abs=0.3)
 
 
@@ -252,7 +246,6 @@ def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
     day = on_phase_a(street, [220.0], [OPEN])
     run = run_of(day, horizon_h=0.0, voltage_limits=limits)
     assert served(run)[:, 0].tolist() == [on]
-    assert run.nodes is not None
     lowest = run.nodes["v_model_pu"].min()
     assert (lowest >= day.network.v_min_pu - 1e-6) == (limits == "hard")
 
@@ -270,18 +263,15 @@ def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> No
     cars = chargers(customer="ca", bus=None, p_charge_kw=3.0)
     day = connected(replace(day, customers=customers), "a", gensets=following, chargers=cars)
     day = plugged_in(day, (0.0, 2.0), capacity_kwh=100.0, soc_needed=0.9)
-    forming = no_battery_forms(on_phase_a(street, [8.0, 13.0], [DARK] * 2))
-    forming = replace(forming, load_kw=forming.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
-    for each in (day, connected(forming, "a b c", gensets=gensets(**FORMING))):
+    for each in (day, formed_by_a_set(street, [8.0, 13.0])):
         run = run_day(each, RunOptions(horizon_h=0.0, isolate=False))
         recorded = Recorded(run)
-        kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+        kva = run.steps[FORMER_KVA].to_numpy(float)
         for t in range(2):
             assert np.abs(recorded.former_kva(t)) == pytest.approx(kva[t], abs=1e-3)
             window = recorded.seen(t).require_phased()
             assert np.abs(window.former_kva[0]) == pytest.approx(kva[t], abs=1e-3)
     words = explain_day(run).explanations
-    assert words is not None
     assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])
 
 
@@ -297,7 +287,6 @@ def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
         found = step_prices(recorded, model, t)
         assert len({"u", "P_flow", "Q_flow"} & model.first.keys()) == letters
         level = found.service if found.cost is None else found.cost
-        assert level is not None
         names = ("stored_energy", "active", "reactive", "former_phase", "battery_inverter")
         return {name: getattr(level.prices, name) for name in names}
 

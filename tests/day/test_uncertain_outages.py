@@ -269,7 +269,6 @@ def test_a_scenario_may_ask_for_it(tiny: Scenario) -> None:
 def test_export_is_believed_like_import(tiny: Scenario) -> None:
     day = replace(tiny, export_limit_kw=np.array(10.0))
     told = Export.of(day, slice(2, 5), np.array([np.inf, 0.0, np.inf]))
-    assert told is not None
     assert told.limit_kw.tolist() == [10.0, 0.0, 10.0]
     assert Export.of(tiny, slice(0, 1), np.array([np.inf])) is None
 
@@ -319,7 +318,6 @@ def rationed_day(tiny: Scenario) -> Scenario:
 
 def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> None:
     run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
-    assert run.explanations is not None
     words = run.explanations["words"]
     rationed = words[words.str.contains("energy saved for later; 1 kWh is worth")]
     assert len(rationed) > 0
@@ -332,7 +330,6 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
 def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Scenario) -> None:
     run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
     believed = believed_outages(run.scenario, run.options)
-    assert run.explanations is not None
     words = run.explanations[run.explanations["item"] == "step"]["words"].tolist()
     recorded = Recorded(run)
     b, c = tiny.batteries, tiny.customers
@@ -345,7 +342,6 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
             r"costs (?:£([0-9]+)|nothing) in this step; it covers hospital for ([0-9.]+) h",
             words[t],
         )
-        assert found is not None
         share, end, until, chance, gbp, hours = found.groups()
         held = recorded.soc_end[t] - b.soc_min
         kwh = float(b.energy_kwh @ held)
@@ -357,7 +353,6 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
         assert float(hours) == pytest.approx(kwh * float(b.eta_discharge[0]) / needed, rel=0.05)
         # The same step without a value of what is left.
         window = recorded.seen(t)
-        assert window.stored_value is not None
         alone = other.solve(replace(window.first(1), stored_value=None)).dispatch
         served = recorded.served[t]
         lost = float((alone.served[0].astype(float) - served) @ c.weight)
@@ -371,7 +366,6 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_step_and_its_batteries_tell_the_same_worth(tiny: Scenario, seed: int) -> None:
     run = explain_day(run_day(random_day(tiny, seed), RunOptions(outages="belief", horizon_h=3.0)))
-    assert run.explanations is not None
     told = run.explanations[run.explanations["item"].isin(["step", "battery"])]
     worth = told["words"].str.extract(r"stored kWh is worth (-?£[\d.]+)")[0]
     counts = worth.groupby(told["time"]).agg(["count", "nunique"])
@@ -382,8 +376,6 @@ def test_a_step_and_its_batteries_tell_the_same_worth(tiny: Scenario, seed: int)
 def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:
     run = explain_day(run_day(certainly(tiny), RunOptions(outages="belief", horizon_h=2.0)))
     known = explain_day(run_day(certainly(tiny), RunOptions(horizon_h=2.0)))
-    assert run.explanations is not None
-    assert known.explanations is not None
     assert run.explanations["driver"].tolist() == known.explanations["driver"].tolist()
 
 

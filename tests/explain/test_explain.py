@@ -179,7 +179,6 @@ def test_cost_of_a_stored_kwh_by_hand() -> None:
     data, everyone = window(day), np.ones((2, 2))
     held = FixedDecisions(everyone, everyone, np.zeros(1), np.ones(1))
     answer = price_window(ShadowPriceModel(Site.of(day), 2), data, held, PricedTerms(0.0, 1.0, 0.0))
-    assert answer is not None
     # The dear hour's discharge is at its 20 kW: what is left decides on the cheap hour's purchase.
     assert answer.prices.stored_energy == pytest.approx([0.2 / 0.9], rel=1e-5)
     assert answer.prices.active == pytest.approx([0.2] * 3, rel=1e-5)
@@ -279,7 +278,6 @@ def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
     held = recorded.held(t, data.n_steps)
     model = ShadowPriceModel(recorded.site, data.n_steps)
     before = price_window(model, data, held, SERVICE)
-    assert before is not None
     for battery in (0, 17):
         per_kwh = np.zeros(len(data.soc))
         per_kwh[battery] = 1.0 / recorded.site.batteries.energy_kwh[battery]
@@ -307,7 +305,6 @@ def test_at_the_end_of_an_outage_no_energy_is_said_to_have_a_later_use(
     explained: Trajectory,
 ) -> None:
     reasons = explained.explanations
-    assert reasons is not None
     at = {h: reasons[reasons["time"].dt.hour == h]["words"].str.cat(sep=" ") for h in (16, 17)}
     assert "a kWh kept for later" in at[16]
     assert "kept for later" not in at[17]

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandapower as pp
 import pandapower.networks
 import pandas as pd
 import pytest
 
 import vppres
+from tests.support.carried_out import assert_voltages
 from vppres.core.errors import InputError
 from vppres.day.trajectory import Trajectory
+from vppres.feeders import ImportedFeeder
 from vppres.report.run_folder import write_run
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
 
 OUTAGE = (pd.Timestamp("2025-07-01T08:00Z"), pd.Timestamp("2025-07-01T16:00Z"))
-TOLERANCE_PU = 1e-6
 
 
 def crowded_net() -> Any:
@@ -35,29 +37,46 @@ def crowded_net() -> Any:
     return net
 
 
-@cache
-def day_of(make: Callable[[], Any], mode: str, **options: Any) -> tuple[Any, Trajectory]:
+def made(net: Any, **options: Any) -> tuple[ImportedFeeder, Scenario]:
     """The feeder of a net, and six steps on it, two of them without grid."""
-    feeder = vppres.import_network(make())
-    day = vppres.new_scenario(
-        feeder,
-        vppres.NewScenarioOptions(
-            step_minutes=240.0, draw_tiers=True, outages=(OUTAGE,), **options
-        ),
-    )
+    feeder = vppres.import_network(net)
+    rules = {"step_minutes": 240.0, "draw_tiers": True, "outages": (OUTAGE,), **options}
+    return feeder, vppres.new_scenario(feeder, vppres.NewScenarioOptions(**rules))
+
+
+@cache
+def day_of(make: Callable[[], Any], mode: str, **options: Any) -> tuple[ImportedFeeder, Trajectory]:
+    """The feeder of a net, and a run on it."""
+    feeder, day = made(make(), **options)
     return feeder, vppres.run_day(day, vppres.RunOptions("idle", mode=mode))
 
 
-def agrees(net: Any, feeder: Any, run: Trajectory, t: int) -> None:
-    """The net's voltages are the record's."""
-    pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
-    count = run.scenario.network.n_buses
-    recorded = dict(
-        zip(run.scenario.network.buses, run.buses["v_ac_pu"].iloc[t * count :], strict=False)
-    )
-    expected = np.array([recorded[feeder.bus_of[bus]] for bus in feeder.bus_of])
-    found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
-    assert np.abs(found - expected).max() < TOLERANCE_PU
+def agrees(net: Any, feeder: ImportedFeeder, network: Network, v_pu: Any, import_kw: float) -> None:
+    """The net's voltages and what its grid gives are those of the record."""
+    assert_voltages(net, feeder, network, v_pu)
+    given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
+    assert given_kw == pytest.approx(import_kw, abs=0.01)
+
+
+def put(net: Any, feeder: ImportedFeeder, run: Trajectory, t: int) -> None:
+    """Put a step of a run into the net, which agrees with it."""
+    network = run.scenario.network
+    run.apply_to(net, feeder, run.steps["time"].iloc[t])
+    v_pu = run.buses["v_ac_pu"].iloc[t * network.n_buses : (t + 1) * network.n_buses]
+    agrees(net, feeder, network, v_pu, run.steps["p_grid_kw"].iloc[t])
+
+
+def told(net: Any, feeder: ImportedFeeder, reads: Iterable[Mapping[str, bool]]) -> Iterator[int]:
+    """Put live steps into the net, each after reading some switches; it agrees with each."""
+    options = vppres.NewScenarioOptions(step_minutes=120.0, add_batteries=True)
+    day = vppres.new_scenario(feeder, options)
+    controller = vppres.Controller.of(day, vppres.RunOptions("idle", mode="physical"))
+    soc = dict.fromkeys(day.batteries.id, 0.5)
+    for t, read in enumerate(reads):
+        step = controller.step(vppres.Measurement(controller.times[t], soc, closed=read))
+        step.apply_to(net, feeder)
+        agrees(net, feeder, day.network, step.buses["v_ac_pu"], step.import_kw)
+        yield t
 
 
 @pytest.mark.daily
@@ -65,16 +84,12 @@ def agrees(net: Any, feeder: Any, run: Trajectory, t: int) -> None:
 def test_every_step_agrees_with_the_record(mode: str) -> None:
     net = crowded_net()
     feeder, run = day_of(crowded_net, mode, add_batteries=True)
-    for t, time in enumerate(run.steps["time"]):
-        run.apply_to(net, feeder, time)
-        agrees(net, feeder, run, t)
-        outage = bool(run.steps["outage"].iloc[t])
+    for t, outage in enumerate(run.steps["outage"].tolist()):
+        put(net, feeder, run, t)
         assert net.ext_grid["in_service"].iloc[0] == (not outage)
-        given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
-        assert given_kw == pytest.approx(run.steps["p_grid_kw"].iloc[t], abs=0.01)
     assert not net.load["in_service"].iloc[:32].any()
-    assert not net.sgen.loc[net.sgen["vppres"] != "put", "in_service"].any()
-    assert not net.storage.loc[net.storage["vppres"] != "put", "in_service"].any()
+    for table in (net.sgen, net.storage):
+        assert not table.loc[table["vppres"] != "put", "in_service"].any()
     for no_step in ("2025-07-01T08:30Z", "yesterday", "2025-07-01T08:00"):
         with pytest.raises(InputError, match="is not the beginning of a step"):
             run.apply_to(net, feeder, no_step)
@@ -82,12 +97,9 @@ def test_every_step_agrees_with_the_record(mode: str) -> None:
 
 @pytest.mark.nightly
 def test_a_run_folder_read_back_does_the_same(tmp_path: Path) -> None:
-    net = crowded_net()
     feeder, run = day_of(crowded_net, "physical", add_batteries=True)
     write_run(run, tmp_path / "run", figures=False)
-    read = vppres.read_run(tmp_path / "run")
-    read.apply_to(net, feeder, "2025-07-01T08:00Z")
-    agrees(net, feeder, run, 2)
+    put(crowded_net(), feeder, vppres.read_run(tmp_path / "run"), 2)
 
 
 @pytest.mark.nightly
@@ -97,33 +109,19 @@ def test_in_the_dark_nothing_is_left_on() -> None:
     run.apply_to(net, feeder, "2025-07-01T12:00Z")
     assert not net.ext_grid["in_service"].any()
     assert net.load.loc[net.load["in_service"], "p_mw"].sum() == 0.0
-    run.apply_to(net, feeder, "2025-07-01T16:00Z")
-    agrees(net, feeder, run, 4)
+    put(net, feeder, run, 4)
 
 
 def test_transformers_and_charging_stay_as_they_are() -> None:
     net = pandapower.networks.simple_four_bus_system()
     feeder, run = day_of(pandapower.networks.simple_four_bus_system, "paper", add_batteries=True)
-    for t, time in enumerate(run.steps["time"]):
-        run.apply_to(net, feeder, time)
-        agrees(net, feeder, run, t)
-
-
-def voltages_agree(net: Any, feeder: Any, network: Any, v_pu: Any) -> None:
-    """The net's voltages are the recorded ones; buses without supply have none in either."""
-    pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
-    recorded = dict(zip(network.buses, v_pu, strict=True))
-    found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
-    expected = np.array([recorded[bus] for bus in feeder.bus_of.values()])
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=TOLERANCE_PU)
+    for t in range(len(run.steps)):
+        put(net, feeder, run, t)
 
 
 def state_of(net: Any) -> dict[str, list[bool]]:
-    return {
-        "line": net.line["in_service"].tolist(),
-        "trafo": net.trafo["in_service"].tolist(),
-        "switch": net.switch["closed"].tolist(),
-    }
+    columns = {"line": "in_service", "trafo": "in_service", "switch": "closed"}
+    return {table: net[table][column].tolist() for table, column in columns.items()}
 
 
 @pytest.mark.daily
@@ -131,13 +129,8 @@ def state_of(net: Any) -> dict[str, list[bool]]:
 def test_lines_that_are_out_or_open_carry_nothing_and_ties_that_are_closed_do(mode: str) -> None:
     """A fault behind which a battery holds a part, an outage meanwhile, ties that take over."""
     net, start = pandapower.networks.case33bw(), pd.Timestamp("2025-07-01T00:00Z")
-    feeder, before = vppres.import_network(net), state_of(net)
-    day = vppres.new_scenario(
-        feeder,
-        vppres.NewScenarioOptions(
-            step_minutes=240.0, draw_tiers=True, add_batteries=True, outages=(OUTAGE,)
-        ),
-    )
+    before = state_of(net)
+    feeder, day = made(net, add_batteries=True)
     hour = pd.Timedelta(hours=1)
     faults = (
         vppres.LineFault(start + 4 * hour, start + 12 * hour, line=6),
@@ -147,13 +140,8 @@ def test_lines_that_are_out_or_open_carry_nothing_and_ties_that_are_closed_do(mo
     run = vppres.run_day(replace(day, faults=faults), options)
     moved = run.steps["switched"].tolist()
     assert moved[1].startswith("closed ") and moved[5].startswith("closed ")
-    n_buses = day.network.n_buses
     for t in (5, 0, 1, 2, 3, 4):
-        run.apply_to(net, feeder, run.steps["time"].iloc[t])
-        v_pu = run.buses["v_ac_pu"].iloc[t * n_buses : (t + 1) * n_buses]
-        voltages_agree(net, feeder, day.network, v_pu)
-        given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
-        assert given_kw == pytest.approx(run.steps["p_grid_kw"].iloc[t], abs=0.01)
+        put(net, feeder, run, t)
         assert (state_of(net) == before) == (t == 0)
 
 
@@ -161,26 +149,16 @@ def test_set_points_of_switches_that_are_read_are_put_into_the_net() -> None:
     """The net's own switches and branches: a tie of a switch, one of a line, one out of service."""
     net = ringed_net()
     feeder, before = vppres.import_network(net), state_of(net)
-    options = vppres.NewScenarioOptions(step_minutes=120.0, add_batteries=True)
-    day = vppres.new_scenario(feeder, options)
-    at = {str(name): set(ends) for name, *ends in zip(
-        day.switches.id, day.switches.from_bus, day.switches.to_bus, strict=True)}  # fmt: skip
+    names, starts, ends = (getattr(feeder.switches, n) for n in ("id", "from_bus", "to_bus"))
+    at = {str(name): {*pair} for name, *pair in zip(names, starts, ends, strict=True)}
     assert sorted(map(sorted, at.values())) == [[1, 2], [1, 4], [2, 3], [3, 4]]
-    controller = vppres.Controller.of(day, vppres.RunOptions("idle", mode="physical"))
     tie, open_end, off, closed = (
-        next(name for name, ends in at.items() if ends == pair)
-        for pair in ({3, 4}, {1, 4}, {2, 3}, {1, 2})
+        next(name for name, pair in at.items() if pair == wanted)
+        for wanted in ({3, 4}, {1, 4}, {2, 3}, {1, 2})
     )
-    for t, read in enumerate(
-        ({}, {closed: False}, {off: True}, {off: False, open_end: True}, {tie: True},
-         {open_end: False, tie: False, closed: True})
-    ):  # fmt: skip
-        soc = dict.fromkeys(day.batteries.id, 0.5)
-        told = controller.step(vppres.Measurement(controller.times[t], soc, closed=read))
-        told.apply_to(net, feeder)
-        voltages_agree(net, feeder, day.network, told.buses["v_ac_pu"])
-        given_kw = 1000 * net.res_ext_grid["p_mw"].sum()
-        assert given_kw == pytest.approx(told.import_kw, abs=0.01)
+    reads = ({}, {closed: False}, {off: True}, {off: False, open_end: True}, {tie: True},
+             {open_end: False, tie: False, closed: True})  # fmt: skip
+    for t in told(net, feeder, reads):
         assert (state_of(net) == before) == (t in (0, 5))
 
 
@@ -206,13 +184,6 @@ def test_capacitors_that_an_island_cannot_hold_are_off_there() -> None:
     """Line 1 joins the grid: what is behind it is an island while its switch is open."""
     net = pandapower.networks.example_simple()
     feeder = vppres.import_network(net)
-    options = vppres.NewScenarioOptions(step_minutes=120.0, add_batteries=True)
-    day = vppres.new_scenario(feeder, options)
-    controller = vppres.Controller.of(day, vppres.RunOptions("idle", mode="physical"))
-    for t, is_closed in enumerate((True, False, True)):
-        soc = dict.fromkeys(day.batteries.id, 0.5)
-        read = vppres.Measurement(controller.times[t], soc, closed={"Line 1": is_closed})
-        told = controller.step(read)
-        told.apply_to(net, feeder)
-        assert net.shunt["in_service"].tolist() == [is_closed]
-        voltages_agree(net, feeder, day.network, told.buses["v_ac_pu"])
+    states = (True, False, True)
+    for t in told(net, feeder, [{"Line 1": is_closed} for is_closed in states]):
+        assert net.shunt["in_service"].tolist() == [states[t]]

@@ -123,7 +123,6 @@ def test_what_is_off_draws_nothing_and_what_is_fed_in_lifts(found: Recheck) -> N
 
 def test_the_largest_difference_has_its_cause(found: Recheck) -> None:
     worst = found.worst
-    assert worst is not None
     assert (worst["bus"], worst["phase"], worst["time"]) == ("b", "b", TIMES[0])
     assert worst["difference_pu"] == pytest.approx(worst["v_pu"] - worst["v_plan_pu"])
     assert found.cause.startswith("Bus b has 1 of three phases: ")
@@ -182,7 +181,6 @@ set voltagebases=[0.4]
     buses = rows(["src", "a"], v_ac_pu=[0.8, v / BASE_V] * 3)
     found = recheck_opendss(run(customers=customers, buses=buses, **none), file)
     worst = found.worst
-    assert worst is not None
     assert worst["difference_pu"] > 0.005
     assert "loads that follow the voltage; with all of them as constant power" in found.cause
 

@@ -20,7 +20,7 @@ from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.reconfiguration import ConfigurationLimits, SwitchedNetwork, least_loss
 from vppres.feeders.reconfiguration.choice import branch_names, switched_network
 from vppres.feeders.reconfiguration.flows import ConfigurationFlows
-from vppres.feeders.reconfiguration.search import NO_LIMITS, LeastLoss
+from vppres.feeders.reconfiguration.search import NO_LIMITS
 from vppres.feeders.reconfiguration.words import open_names, outcome_words
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
@@ -34,36 +34,6 @@ def switched(name: str, *only: str, **options: str) -> tuple[ImportedFeeder, Swi
     """A named feeder with its switches."""
     feeder = import_network(name, **options)
     return feeder, switched_network(feeder.network, feeder.switches, only)
-
-
-def found(
-    name: str, limits: ConfigurationLimits = NO_LIMITS, most: int = 10**6, **options: str
-) -> LeastLoss:
-    """The configuration of a named feeder with the least losses."""
-    feeder, ring = switched(name, **options)
-    return least_loss(ring, *feeder.injection, limits, most=most)
-
-
-@pytest.mark.parametrize(("name", "options", "count", "present_kw", "best_kw", "v_min_pu"), [
-    # Three sources.
-    pytest.param("case16", {"slack": "all"}, 190, 511.436, 466.127, 0.97158, marks=pytest.mark.daily),
-    pytest.param("case69", {}, 407_924, 224.992, 98.605, 0.94947, marks=pytest.mark.nightly),
-])  # fmt: skip
-def test_the_least_losses_are_those_published(
-    name: str,
-    options: dict[str, str],
-    count: int,
-    present_kw: float,
-    best_kw: float,
-    v_min_pu: float,
-) -> None:
-    """Four configurations of 69 buses are equal: losses are compared, never the sets."""
-    best = found(name, **options)
-    assert (best.count, best.exact) == (count, True)
-    assert name != "case16" or best.solved == count
-    assert best.present.losses_kw == pytest.approx(present_kw, abs=1e-3)
-    assert best.best.losses_kw == pytest.approx(best_kw, abs=1e-3)
-    assert best.best.v_min_pu == pytest.approx(v_min_pu, abs=1e-5)
 
 
 @pytest.mark.daily
@@ -135,8 +105,8 @@ def test_losses_are_those_of_other_power_flows() -> None:
 
 
 def test_limits_that_no_configuration_keeps_are_exceeded_least() -> None:
-    best = found("case16", ConfigurationLimits(0.99, 1.05), slack="all")
     feeder, ring = switched("case16", slack="all")
+    best = least_loss(ring, *feeder.injection, ConfigurationLimits(0.99, 1.05))
     flows = ConfigurationFlows(ring, *feeder.injection)
     voltages = [flows.solve(rows).v_min_pu.max() for rows in ring.configurations(100)]
     assert best.best.excess > 0.0

@@ -80,7 +80,6 @@ def test_states_by_phase_are_those_of_the_balanced_feeder(tiny: Scenario) -> Non
             flow.solve(inside, state, reference, given, 0.3 * given)
             for flow in (balanced, by_phase)
         )
-        assert one is not None and three is not None
         np.testing.assert_allclose(three.v_pu, one.v_pu, atol=1e-7)
         np.testing.assert_allclose(three.current_a, one.current_a, atol=1e-4)
         assert three.source_kva == pytest.approx(one.source_kva, abs=1e-2)
@@ -462,7 +461,7 @@ def test_no_order_is_better_on_random_feeders(seed: int) -> None:
             assert not allowed, found.reason
         return
     own = walked.walk(now, then, tuple(one.branch for one in found.operations))
-    assert own is not None and sorted(one.branch for one in found.operations) == moved
+    assert sorted(one.branch for one in found.operations) == moved
     best = min(allowed, key=lambda each: (round(each[0], 6), -each[1]))
     assert own == pytest.approx(best, abs=1e-6)
     if moved:

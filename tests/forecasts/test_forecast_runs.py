@@ -100,20 +100,17 @@ def test_a_live_controller_learns_from_what_it_measures(tiny: Scenario) -> None:
         load = dict(zip(day.customers.id, 2.0 * day.load_kw[t], strict=True))
         controller.step(Measurement(day.grid.times[t], soc=soc, load_kw=load))
     history = controller._past.history
-    assert history is not None
     np.testing.assert_allclose(history.load_kw[-3:], 2.0 * day.load_kw[:3])
     assert history.end == day.grid.times[3]
 
 
 def test_a_folder_keeps_its_history(tiny: Scenario, tmp_path: Path) -> None:
     day = remembered(tiny)
-    assert day.history is not None
     load = day.history.load_kw.copy()
     load[5, 1] = np.nan
     day = replace(day, history=replace(day.history, load_kw=load))
     write_scenario(day, tmp_path / "day")
     again = read_scenario(tmp_path / "day")
-    assert again.history is not None and day.history is not None
     np.testing.assert_array_equal(again.history.load_kw, day.history.load_kw)
     np.testing.assert_array_equal(again.history.pv_kw, day.history.pv_kw)
     assert again.history.start == day.history.start
@@ -122,14 +119,13 @@ def test_a_folder_keeps_its_history(tiny: Scenario, tmp_path: Path) -> None:
 
 def test_steps_before_a_part_of_a_day_join_its_history(tiny: Scenario) -> None:
     part = remembered(tiny).between(2, 4)
-    assert part.history is not None and part.history.end == part.grid.start
+    assert part.history.end == part.grid.start
     np.testing.assert_array_equal(part.history.load_kw[-2:], tiny.load_kw[:2])
 
 
 def test_parts_of_customers_share_their_history(tiny: Scenario) -> None:
     day = remembered(tiny)
     split = split_sheddable(replace(day, customers=replace(day.customers, shed_steps=[1, 2, 1])))
-    assert split.history is not None and day.history is not None
     np.testing.assert_allclose(split.history.load_kw[:, 1:3], day.history.load_kw[:, [1, 1]] / 2)
 
 

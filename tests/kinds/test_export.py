@@ -11,20 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.frame.random_feeders import random_state
-from tests.support.agreement import assert_agree, both_methods
-from tests.support.dispatch_check import check_dispatch
+from tests.support.agreement import assert_agree, assert_holds, both_methods
 from tests.support.exporting import exporting_window
 from tests.support.refusals import refusal
 from tests.support.set_points import decision
-from tests.support.small_windows import (
-    CHECKER_TOLERANCE,
-    DARK,
-    OPEN,
-    battery,
-    two_buses,
-    window,
-    with_pv,
-)
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.converged import physics_of
 from vppres.core.errors import InputError
@@ -68,9 +59,7 @@ def solve(day: Scenario, method: str = "decomposed") -> WindowSolution:
     """All steps of a day as one window, checked."""
     data = window(day)
     answer = WindowSolver(Site.of(day), method).solve(data)
-    check = check_dispatch(day, data, answer.dispatch)
-    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    assert_holds(day, data, answer)
     return answer
 
 
@@ -328,7 +317,6 @@ def test_forecast_errors_do_not_pass_the_limiter(tiny: Scenario) -> None:
 
 def test_the_report_and_the_reasons_name_the_limit(tiny: Scenario) -> None:
     run = explain_day(run_day(sunny(tiny), RunOptions(horizon_h=2.0)))
-    assert run.explanations is not None
     reasons = run.explanations.query("action == 'curtail' and phase != 'island'")
     first = reasons[reasons["time"] == run.steps["time"].iloc[0]].iloc[0]
     assert (first["driver"], first["words"]) == (

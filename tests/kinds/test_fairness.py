@@ -115,7 +115,6 @@ def test_weights_change_after_each_turn(tiny: Scenario) -> None:
         np.testing.assert_array_equal(weight[second], expected)
         both = off[first:after].sum(axis=0).astype(float)
         explained = explain_day(run).explanations
-        assert explained is not None
         assert len(explained[explained["action"] == "not_served"]) == off.sum()
         np.testing.assert_array_equal(weight[after], rotated(day.customers, day.tiers, both, 0.5))
 

@@ -14,6 +14,7 @@ from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import known, planned_kw, solved
 from tests.support.faulted import faulted_day, faulted_window
+from tests.support.rated_windows import formed_by_sets
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
@@ -21,15 +22,13 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
-from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
-from vppres.kinds.gensets.data import Gensets, GensetState, Refuels
+from vppres.kinds.gensets.data import Gensets, Refuels
 from vppres.kinds.gensets.physics import Engines, SetsAhead, headroom_kw
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.parts import at_items
@@ -245,7 +244,7 @@ def test_a_set_forms_an_island_and_gives_its_losses_and_reactive_power() -> None
     day = hospital(50.0, 50.0, 80.0, 50.0, 50.0, bus=[1])
     run = run_day(day, PHYSICAL)
     sets, steps = run.gensets, run.steps
-    assert sets is not None and served(run) == [1] * 5 and not steps["dark"].any()
+    assert served(run) == [1] * 5 and not steps["dark"].any()
     assert sets["forms"].tolist() == [False, True, True, True, False]
     island = sets["forms"].to_numpy(bool)
     loads = run.customers.loc[island]
@@ -274,7 +273,6 @@ def test_sets_supply_the_parts_that_faults_cut_off(only_in_outage: bool) -> None
         faults=faults,
     )
     run = run_day(day, replace(PHYSICAL, mode="paper"))
-    assert run.gensets is not None
     assert run.gensets.groupby("time")["running"].sum().tolist() == [0, 2, 2, 0]
     assert run.customers["served"].all() and not run.steps["dark"].any()
 
@@ -387,7 +385,7 @@ def test_a_set_starts_by_itself_where_nothing_else_forms_the_grid() -> None:
     """It gives what the customer takes, which no plan asked it for."""
     options = replace(PHYSICAL, guard=False)
     run = run_day(hospital(50.0, 50.0, 120.0, 50.0), options, controller=Idle)
-    assert run.gensets is not None and served(run) == [1, 1, 0, 1]
+    assert served(run) == [1, 1, 0, 1]
     assert run.gensets["p_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
     assert run.steps["island_mismatch_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
     assert run.steps["dark_reason"].iloc[2] == SET_NO_BALANCE  # nothing is left for its least power
@@ -404,7 +402,7 @@ def test_a_fallback_by_rule_starts_the_set_that_forms_the_grid() -> None:
     """Not while there is grid, and not for 20 kW, which are less than its least power."""
     run = run_day(hospital(50.0, 50.0, 120.0, 20.0, 50.0, bus=[1]), PHYSICAL, controller=Broken)
     assert (run.steps["fallback"] == "rule").all()
-    assert run.gensets is not None and served(run) == [1, 1, 0, 0, 1]
+    assert served(run) == [1, 1, 0, 0, 1]
     assert run.gensets["running"].astype(int).tolist() == [0, 1, 0, 0, 0]
     assert run.gensets["p_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
     assert run.steps["shed_kw"].sum() == 0.0
@@ -417,14 +415,14 @@ def test_by_rule_the_set_supplies_the_first_tier_first() -> None:
     day = replace(day, customers=tiers, gensets=gensets(grid_forming=True))
     run = run_day(day, PHYSICAL, controller=Broken)
     first = run.customers["served"].to_numpy(int)[:2]
-    assert first.tolist() == [0, 1] and run.gensets is not None
+    assert first.tolist() == [0, 1]
     assert run.gensets["p_kw"].iloc[0] == pytest.approx(60.0, abs=0.1)
 
 
 def test_by_rule_a_battery_with_energy_forms_the_grid_and_no_set_starts() -> None:
     b = replace(battery(200.0, 100.0, 100.0), grid_forming=[True], soc_initial=[0.85])
     run = run_day(replace(hospital(*[50.0] * 4), batteries=b), PHYSICAL, controller=Broken)
-    assert served(run) == [1] * 4 and run.gensets is not None and not run.gensets["running"].any()
+    assert served(run) == [1] * 4 and not run.gensets["running"].any()
 
 
 def test_the_guard_refuses_supply_in_an_island_that_no_set_forms() -> None:
@@ -452,16 +450,8 @@ def forming_windows(seed: int) -> tuple[Site, WindowData]:
     sets = random_sets(rng, scenario)
     forming = rng.random(len(sets)) < 0.7
     forming[0] = True
-    outage = np.arange(data.n_steps) >= rng.integers(0, 2)
     day = replace(scenario, gensets=replace(sets, grid_forming=forming))
-    limits = np.where(outage, 0.0, data.grid_limit_kw)
-    steps = range(data.n_steps)
-    seen = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
-    data = replace(data, grid_limit_kw=limits, ahead=KindsAhead({"gensets": seen}))
-    site = Site.of(day)
-    data, dark = data.formed(site, dark_steps(site, data), 0.1)
-    lit = without_power(data, dark)
-    return site, lossless(lit, physics_of(site, lit, 0.1))
+    return formed_by_sets(day, data, rng)
 
 
 @pytest.mark.monolith
@@ -508,7 +498,7 @@ def test_no_door_limits_the_ramps_of_a_set_that_forms_the_grid() -> None:
     controller = Controller.of(day, PHYSICAL)
     for t in (1, 2, 3):
         step = controller.step(Measurement(day.grid.times[t]))
-        assert step.gensets is not None and step.customers["served"].all()
+        assert step.customers["served"].all()
         assert step.solve["fallback"] == "none"
         assert step.gensets["p_kw"].iloc[0] == pytest.approx(loads_kw[t], abs=0.5)
         assert refusals(tables_of(step, day), day, {}) == {}

@@ -221,7 +221,6 @@ def test_a_record_adds_up_and_says_why(it: Example) -> None:
         assert summary[kind.table][name] == pytest.approx(value, abs=1e-3), name
     assert [words for words in summary["cautions"] if words.startswith(it.caution)]
     told = run.explanations
-    assert told is not None
     why = told[told["item"] == kind.subject].groupby("action")["words"].first()
     assert {*why.index} == {*it.why}
     assert all(why[action].startswith(words) for action, words in it.why.items())

@@ -12,17 +12,15 @@ import pytest
 from benchmarks.frame.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.builders import HERE, live
-from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
+from tests.support.small_windows import OPEN, first_step, island, two_buses, window
 from vppres import RunOptions, explain_day, run_day, summarise
 from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
-from vppres.control.step_state import StepState
 from vppres.day import priority
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.report.run_folder import render_report
 from vppres.scenario.priority import Ranks
@@ -43,9 +41,8 @@ def dark_hours(
     hours: int = 4,
 ) -> Scenario:
     """A dark feeder whose battery can give this much energy at its terminals, and any power."""
-    day = two_buses([load_kw] * hours, weights, [DARK] * hours)
-    customers = replace(day.customers, max_off_h=longest_h)
-    return replace(day, customers=customers, batteries=full_of(energy_kwh))
+    day = island([load_kw] * hours, weights, energy_kwh)
+    return replace(day, customers=replace(day.customers, max_off_h=longest_h))
 
 
 def with_limits(day: Scenario, data: WindowData, state: SwitchingState) -> WindowData:
@@ -184,21 +181,8 @@ def test_all_that_lower_tiers_may_pay_is_less_than_a_unit(homes: int, steps: int
 
 def test_a_rule_serves_the_due_customer_of_a_tier_first() -> None:
     day = dark_hours([10.0, 10.0], [1.0, 0.9], 11.0, [np.nan, 2.0])
-    site = Site.of(day)
     for off_h, served in ((1.0, [True, False]), (2.0, [False, True])):
-        state = StepState(
-            site,
-            day.load_kw[0],
-            day.pv_kw[0],
-            0.0,
-            day.batteries.soc_initial,
-            day.batteries.eta_charge,
-            day.batteries.eta_discharge,
-            np.zeros(1),
-            np.ones(1, dtype=bool),
-            due=state_of(day, [0.0, off_h]).due,
-            parts=Parts.one(day.network, 1, 1),
-        )
+        state = replace(first_step(day, window(day)), due=state_of(day, [0.0, off_h]).due)
         assert rule_dispatch(state, day.tiers).served[0].tolist() == served
 
 
@@ -224,7 +208,6 @@ def test_a_day_keeps_the_limit_and_says_why_the_customer_is_on() -> None:
     assert summary["off_too_long"] == []
     assert not any("longest time off" in words for words in summary["cautions"])
     told = run.explanations
-    assert told is not None
     restored = told[told["action"] == "restored"]
     assert restored[["id", "driver"]].to_numpy().tolist() == [["c1", "longest_off"]] * 2
     assert restored["words"].iloc[0] == "On at 02:00: its backup of 2 h ends."
@@ -240,7 +223,6 @@ def test_a_limit_that_cannot_be_kept_is_named() -> None:
     ]
     assert "Off beyond the longest time off: c1 (critical) 6 h of 2 h." in summary["cautions"]
     told = run.explanations
-    assert told is not None
     words = told.loc[told["id"] == "c1", "words"].tolist()
     assert words[2].endswith("It is 1 h beyond its longest time off of 2 h.")
 
@@ -273,7 +255,6 @@ def test_bounds_of_the_levels_hold_for_every_schedule() -> None:
     tier = np.array(["critical", "low", "low"], dtype=object)
     day = replace(day, tiers=("critical", "low"), customers=replace(day.customers, tier=tier))
     site = priority.site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record())
-    assert site.ranks is not None
     rules = state_of(day, [0.0, 0.0, 0.0]).window(2).priced(site.hour_beyond, site.dt_h)
     data = replace(window(day), switching=rules)
     solver = WindowSolver(site)

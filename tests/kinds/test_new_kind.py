@@ -209,7 +209,6 @@ def test_a_copy_of_a_kind_is_a_kind(copied: Path) -> None:
     warm = replace(loads, t_initial_c=np.full(len(loads), WARM_C))
     village = replace(village, thermal_loads=warm)
     run = run_day(village, RunOptions(horizon_h=1.0, isolate=False))
-    assert run.thermal_loads is not None
     assert p_kw == pytest.approx(run.thermal_loads["p_kw"].tolist(), abs=1e-6)
     assert live_kw == pytest.approx(p_kw, abs=1e-6) and statuses == {"ok": LAST - FIRST}
     named = [f"machine {name}" for name in village.thermal_loads.id]

@@ -14,15 +14,14 @@ import numpy as np
 import pytest
 
 from benchmarks.frame.random_feeders import random_state, random_window
-from tests.support.agreement import assert_agree
+from tests.support.agreement import assert_agree, assert_holds
 from tests.support.dispatch_check import check_dispatch
 from tests.support.refusals import refusal
 from tests.support.small_windows import (
-    CHECKER_TOLERANCE,
     DARK,
     OPEN,
     battery,
-    full_of,
+    island,
     observed,
     two_buses,
     window,
@@ -74,18 +73,8 @@ def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
     data = window(day)
     data = replace(data, switching=state.window(data.n_steps))
     answer = WindowSolver(Site.of(day), method).solve(data)
-    check = check_dispatch(day, data, answer.dispatch, state)
-    assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-    assert answer.objective == pytest.approx(check.objective, abs=1e-9)
+    assert_holds(day, data, answer, state)
     return answer
-
-
-def island(
-    load_kw: Sequence[Sequence[float]], weights: Sequence[float], energy_kwh: float
-) -> Scenario:
-    """A dark feeder whose battery can give this much energy at its terminals, and any power."""
-    day = two_buses(load_kw, weights, [DARK] * len(load_kw))
-    return replace(day, batteries=full_of(energy_kwh))
 
 
 NEVER = float("inf")
@@ -198,7 +187,6 @@ def test_half_a_restoration_is_half_as_cold(tiny: Scenario) -> None:
     x = cp.Variable((W, C))
     rules = switching_rules.SwitchingModel(site, x, RuleSteps(1, 1, 2))
     cold = rules.cold
-    assert cold is not None
     rules.x_before.value = np.ones(C)
     rules.x_min.value, rules.x_max.value = np.zeros((W, C)), np.ones((W, C))
     rules.actions_left.value = np.full((1, C), 2.0 * W)
@@ -219,15 +207,8 @@ def test_interruption_that_cannot_be_ended_is_not_shortened() -> None:
 
 
 def test_minimum_times_count_in_steps_of_any_length() -> None:
-    state = SwitchingState(
-        SwitchingRules(min_served_h=0.6, min_unserved_h=0.25),
-        0.25,
-        np.array([True]),
-        np.array([0.25]),
-        np.zeros(1),
-        np.array([np.inf]),
-    )
-    data = state.window(4)
+    rules = SwitchingRules(min_served_h=0.6, min_unserved_h=0.25)
+    data = replace(state_of(rules, [True], [0.25]), dt_h=0.25).window(4)
     assert data.steps == RuleSteps(served=3, unserved=1, cold=0)
     # One of the three quarters of an hour is over.
     assert data.served_min[:, 0].tolist() == [True, True, False, False]
@@ -473,7 +454,6 @@ def test_demand_is_higher_just_where_the_state_says_so(
     model = SwitchingModel(Site.of(tiny), x, steps)
     model.fill(model.site, replace(window(tiny).first(W), switching=past))
     cold = model.cold
-    assert cold is not None
     bounds = [
         cp.Problem(sense(cp.sum(cold.z)), list(model.constraints.values()))
         for sense in (cp.Minimize, cp.Maximize)

@@ -124,7 +124,6 @@ def test_rooms_beside_vehicles_switch_nobody_off_in_an_island(tiny: Scenario) ->
     run = run_day(day, PHYSICAL)
     assert (run.customers["served"] == alone.customers["served"]).all()
     rows = run.thermal_loads
-    assert rows is not None
     served = run.customers["served"].to_numpy(float)
     assert (rows["p_kw"].to_numpy() <= 2.0 * served + 1e-9).all()
     figures = summarise(run)

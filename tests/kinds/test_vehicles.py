@@ -148,7 +148,7 @@ def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None
     day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
     day = plugged_in(replace(day, chargers=chargers()), (2.4, 2.9))
     plugged = known(day).ahead.find(Plugged)
-    assert plugged is not None and not plugged.held_kwh.any()
+    assert not plugged.held_kwh.any()
     assert solved(day).dispatch.served.all()
     assert "no whole step of 60 min" in " ".join(remarks(day))
 
@@ -360,7 +360,6 @@ def expecting(day: Scenario, now_kwh: float = 0.0) -> WindowData:
 def test_each_day_is_like_a_whole_past_day() -> None:
     day = history(two_buses([[1.0]] * 24 * 60, [1.0], [OPEN] * 24 * 60))
     past = PastDays.of(day, seed=3)
-    assert past is not None
     assert past.days.tolist() == [MONDAY - 2, MONDAY - 1, MONDAY]
     midnight = day.grid.start.normalize()
     came = {MONDAY - 2: {("k0", 1, 7), ("k1", 2, 22)}, MONDAY - 1: set(), MONDAY: {("k1", 4, 14)}}
@@ -376,7 +375,6 @@ def test_each_day_is_like_a_whole_past_day() -> None:
         assert {*zip(found.charger, *hours, strict=True)} == came[drawn[-1]]
     assert {*drawn} == {*past.days}
     same, other = (PastDays.of(day, seed) for seed in (3, 4))
-    assert same is not None and other is not None
     days = range(MONDAY + 1, MONDAY + 61)
     assert [same.drawn_for(d) for d in days] == drawn != [other.drawn_for(d) for d in days]
 
@@ -389,7 +387,6 @@ def test_a_replay_of_stored_plans_keeps_past_days() -> None:
     replayed = told_by_plans(day, [plan, *[{}] * 5])
     assert "car9" in replayed.sessions.vehicle
     kept, past = PastDays.of(replayed, 0), PastDays.of(day, 0)
-    assert kept is not None and past is not None
     assert kept.days.tolist() == past.days.tolist()
 
 
@@ -400,7 +397,7 @@ def test_days_that_go_on_in_the_run_are_not_past() -> None:
     times = [(-40, -30), (-20, -18), (-16, 3), (-6, -2)]
     still_there = plugged_in(late, *times, charger="k0", announced=False)
     found = PastDays.of(still_there, 0)
-    assert found is not None and found.days.tolist() == [MONDAY - 1]
+    assert found.days.tolist() == [MONDAY - 1]
     assert found.begun.tolist() == [MONDAY - 1, MONDAY, MONDAY + 1]
     assert PastDays.of(plugged_in(late, (-6, -2)), 0) is None  # this morning alone
     assert PastDays.of(plugged_in(late, (-16, 3)), 0) is None
@@ -454,7 +451,6 @@ def test_none_that_may_not_come_gives_anything_back(method: str, grid: float) ->
     assert powers[0].min() < -5.9
     assert powers[1].min() == 0.0
     ahead = expected.ahead.find(Plugged)
-    assert ahead is not None
     beyond_kw = ahead.power_beyond_kw(
         day.chargers,
         np.ones((8, 1), dtype=bool),
@@ -511,7 +507,6 @@ SHORT_KWH = {
 def test_a_day_leaves_room_for_whom_it_expects(what: str) -> None:
     day = expected_evening() if what == "expected" else surprised(expected_evening())
     run = explain_day(run_day(day, RunOptions(isolate=False)))
-    assert run.vehicles is not None and run.explanations is not None
     assert run.customers["served"].all()
     assert run.vehicles["short_kwh"].sum() == pytest.approx(SHORT_KWH[what], abs=1e-3)
     told = run.explanations[run.explanations["action"] == "expected"]
@@ -527,7 +522,7 @@ def test_who_does_not_come_is_dropped() -> None:
     day = replace(day, sessions=day.sessions.rows(day.sessions.over(day.grid.start)))
     run = run_day(day, RunOptions(isolate=False))
     assert run.batteries["charge_kw"].iloc[0] == pytest.approx(7.0, abs=1e-4)
-    assert run.vehicles is not None and not run.vehicles["p_kw"].any()
+    assert not run.vehicles["p_kw"].any()
     assert run.customers["served"].all() and (run.steps["fallback"] == "none").all()
 
 

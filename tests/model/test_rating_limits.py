@@ -66,7 +66,6 @@ def test_currents_stay_within_ratings(batteries: bool) -> None:
     if not kept.customers["served"].all():
         assert "Lines at their rating then: " in cautions(kept)[0]
         told = explain_day(kept).explanations
-        assert told is not None
         off = told[told["action"] == "not_served"]
         by_rating = off[off["binding"] == "rating"]
         assert len(by_rating) > len(off) / 2

@@ -18,7 +18,6 @@ def test_a_day_of_the_homes() -> None:
     check_scenario(day)
     assert (len(day.customers), len(day.pv), day.network.n_buses) == (17, 17, 19)
     assert np.flatnonzero(day.outage).tolist() == [12, 13, 14]
-    assert day.history is not None
     assert day.history.end == day.grid.start
     assert day.history.n_steps == 100 * 24
 

@@ -137,7 +137,6 @@ def test_what_was_said_makes_beliefs_that_hold_the_truth(days: list[OutageDay]) 
     statistics = OutageClimate().statistics
     near = []
     for day in [day for day in days if day.comes and day.surprise is None][:200]:
-        assert day.expected is not None
         begin = day.expected.steps.start
         outlook = OutageOutlook(day.warnings, statistics, 1.0)
         belief = outlook.at(MIDNIGHT + (begin - 1) * HOUR, 24 - begin, [])

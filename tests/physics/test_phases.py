@@ -96,6 +96,35 @@ def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
     return p, q
 
 
+def full(day: Scenario) -> Scenario:
+    """The day with batteries that are full at first."""
+    return replace(day, batteries=replace(day.batteries, soc_initial=day.batteries.soc_max))
+
+
+def phase_kva(day: Scenario) -> float:
+    """Rating of each phase of the battery that forms the day's islands."""
+    return float(day.batteries.s_max_kva[day.batteries.grid_forming][0]) / 3.0
+
+
+def former_kva(run: Trajectory) -> np.ndarray:
+    """Power of each phase of an island's former, (T, 3)."""
+    return run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+
+
+def first_state(day: Scenario) -> StepState:
+    """What a rule knows in the first step."""
+    options = RunOptions(horizon_h=0.0).on(day)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    return StepState.of(Site.of(day), seen, "lossless")
+
+
+def assert_as_in_opendss(run: Trajectory, circuit: Path) -> None:
+    """Voltages with grid and in islands are those of the script's own power flow."""
+    found = recheck_run(run, circuit).voltages
+    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
+    assert apart[False] < 1e-6 and apart[True] < 1e-6
+
+
 def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
     """With the grid as source, and with the former."""
     assert day.phases
@@ -127,7 +156,7 @@ def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) 
     file = circuit.with_name("between.dss")
     file.write_text(CIRCUIT.replace("bc bus1=n.2.3 phases=1 conn=delta", "bc bus1=n.2.3 phases=1"))
     found = import_network(file).phased
-    assert found is not None and found.difference_pu is not None
+    assert found.difference_pu is not None
     assert found.difference_pu < 1e-7
     assert "bc" in {load.connection.coils for load in found.loads}
 
@@ -136,7 +165,7 @@ def test_a_core_is_a_shunt_of_the_transformer_s_bus(circuit: Path) -> None:
     file = circuit.with_name("core.dss")
     file.write_text(CIRCUIT.replace("transformer.low phases=3", "transformer.low %imag=2 phases=3"))
     source = import_network(file).phased
-    assert source is not None and source.difference_pu is not None
+    assert source.difference_pu is not None
     assert source.difference_pu < 1e-6
     assert [(row.bus, row.q_kvar > 0) for row in source.phases.shunts if row.bus == "d"]
 
@@ -323,19 +352,16 @@ def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) ->
 @pytest.mark.daily
 def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day: Scenario) -> None:
     options = RunOptions(horizon_h=1.0).on(day)
-    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    assert day.phases
     # In islands OpenDSS has its buses in another order then.
     off = tuple(replace(row, island="no") for row in day.phases.shunts)
-    evening = replace(day, batteries=full, phases=replace(day.phases, shunts=off)).between(16, 19)
+    evening = replace(full(day), phases=replace(day.phases, shunts=off)).between(16, 19)
     run = Day(evening, options)
     trajectory = run.run(make_controller(evening, options))
     steps = trajectory.steps
     dark = steps["outage"].to_numpy(bool)
-    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
-    kva = steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    kva = former_kva(trajectory)
     assert dark.tolist() == [True, True, False]
-    assert kva[dark].max() <= rating / 3 * 0.9 + 1.0
+    assert kva[dark].max() <= phase_kva(evening) * 0.9 + 1.0
     assert (steps["shed_kw"] == 0.0).all()
     assert steps["v_error_pu"].max() < 1e-4
     figures = phase_figures(trajectory)
@@ -343,17 +369,13 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     assert [row.what for row in limit_rows(trajectory)][2].startswith("Largest loading")
     fuller = replace(trajectory, steps=steps.assign(loading_max=1.2))
     assert any("A phase above its rating in 3 steps" in words for words in findings(fuller))
-    assert figures["former_phase_rating_kva"] == pytest.approx(rating / 3)
+    assert figures["former_phase_rating_kva"] == pytest.approx(phase_kva(evening))
     assert figures["former_phase_max_kva"] == pytest.approx(kva[dark].max())
     assert figures["node_steps_outside_ac"] == 0
     nodes = trajectory.nodes
-    assert nodes is not None
     assert nodes["v_ac_pu"].between(0.94, 1.06).all()
-    found = recheck_run(trajectory, circuit).voltages
-    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
-    assert apart[False] < 1e-6 and apart[True] < 1e-6
+    assert_as_in_opendss(trajectory, circuit)
     explained = explain_day(trajectory)
-    assert explained.explanations is not None
     off = explained.explanations[explained.explanations["action"] == "not_served"]
     assert "phase" in set(off["driver"])
     assert off["words"].str.contains("phase [abc] of be").any()
@@ -402,12 +424,9 @@ def test_vehicles_rooms_and_sets_are_those_of_opendss(
     on = np.isin(day.customers.id, ["cb", "cd"])
     plan = asked(more, wanted, served=on, curtailed_kw=1e3)
     run = Day(more, RunOptions(mode="physical")).run(Asks(more, plan))
-    assert run.gensets is not None and run.vehicles is not None
     assert (run.gensets["p_kw"] > 100.0).all() and (run.vehicles["p_kw"] > 0.0).any()
     assert (run.steps["former"][run.steps["outage"]] == former).all()
-    found = recheck_run(run, circuit).voltages
-    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
-    assert apart[False] < 1e-6 and apart[True] < 1e-6
+    assert_as_in_opendss(run, circuit)
 
 
 def check_price_of_a_phase(trajectory: Trajectory) -> None:
@@ -446,7 +465,6 @@ def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
     assert kept.steps["loading_max"].between(0.9, 1.0).all()
     assert kept.customers["served"].mean() > 0.5
     told = explain_day(kept)
-    assert told.explanations is not None and told.shadow_prices is not None
     off = told.explanations[told.explanations["action"] == "not_served"]
     assert (off["binding"] == "rating").all()
     assert off["words"].str.contains("the line from r to m, phase").any()
@@ -470,30 +488,25 @@ class Everyone:
 
 @pytest.mark.daily
 def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: Scenario) -> None:
-    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    evening = replace(day, batteries=full).between(16, 17)
+    evening = full(day).between(16, 17)
     options = RunOptions(horizon_h=0.0).on(evening)
     found = Day(evening, options).run(Everyone(make_controller(evening, options)))
-    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
-    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
     assert found.steps["shed_kw"].item() > 0.0
-    assert kva.max() <= rating / 3 + 1e-3
+    assert former_kva(found).max() <= phase_kva(evening) + 1e-3
     on = found.customers["served"].to_numpy(bool)
     assert on[found.customers["tier"] == "critical"].all() and not on.all()
 
 
 def test_other_batteries_discharge_before_an_island_sheds_by_phase(day: Scenario) -> None:
     """All customers are on, batteries rest: what the former lacks others give, phase by phase."""
-    b = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    night = replace(day, batteries=b, pv_kw=0.0 * day.pv_kw).between(16, 17)
-    rating_kva = b.s_max_kva[b.grid_forming][0] / 3.0
+    night = replace(full(day), pv_kw=0.0 * day.pv_kw).between(16, 17)
     for share, n_on in ((0.2, 5), (0.3, 5), (0.5, 3), (0.8, 0)):
         island = replace(night, load_kw=share * night.load_kw, grid_limit_kw=np.zeros(1))
         found = World(island, RunOptions(horizon_h=0.0)).obey(0, [])
         assert int(found.customers["served"].sum()) >= n_on, share
         assert not found.steps["dark_reason"]
         kva = max(found.steps[f"former_{phase}_kva"] for phase in "abc")
-        assert kva <= rating_kva + 1e-3
+        assert kva <= phase_kva(night) + 1e-3
 
 
 def test_an_island_without_a_battery_of_three_phases_is_dark_in_plans_too(day: Scenario) -> None:
@@ -531,15 +544,12 @@ class Rule:
 
 @pytest.mark.daily
 def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) -> None:
-    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    island = replace(day, batteries=full).between(12, 15)
+    island = full(day).between(12, 15)
     options = RunOptions(horizon_h=0.0).on(island)
     found = Day(island, options).run(Rule(island))
-    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
-    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
     assert (found.steps["dark_reason"] == "").all()
     assert (found.steps["shed_kw"] == 0.0).all()
-    assert kva.max() <= rating / 3 + 0.1
+    assert former_kva(found).max() <= phase_kva(island) + 0.1
     assert found.customers.groupby("time")["served"].any().all()
 
 
@@ -548,14 +558,11 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
     day: Scenario, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a former that carries everyone, and with smaller ones."""
-    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    factor = np.where(full.formers, share, 1.0)
-    sizes = {each: getattr(full, each) * factor for each in ("energy_kwh", "p_max_kw", "s_max_kva")}
-    full = replace(full, **sizes)
-    island = replace(day, batteries=full).between(12, 13)
-    options = RunOptions(horizon_h=0.0).on(island)
-    observation = Day(island, options).observe(make_controller(island, options), 0)
-    state = StepState.of(Site.of(island), observation, "lossless")
+    b = full(day).batteries
+    factor = np.where(b.formers, share, 1.0)
+    sizes = {each: getattr(b, each) * factor for each in ("energy_kwh", "p_max_kw", "s_max_kva")}
+    island = replace(day, batteries=replace(b, **sizes)).between(12, 13)
+    state = first_state(island)
     order = service_order(state, list(island.tiers))
     kept: list[int] = []
     for customer in order:
@@ -584,13 +591,10 @@ def test_the_rule_serves_the_largest_worth_of_a_first_tier_that_power_suffices_f
     weight = np.full(len(names), 0.01)
     weight[[large, small]] = 1.5, 1.0
     customers = replace(day.customers, tier=["critical"] * len(names), weight=weight)
-    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
-    island = replace(day, customers=customers, batteries=full).between(12, 13)
-    options = RunOptions(horizon_h=0.0).on(island)
-    observation = Day(island, options).observe(make_controller(island, options), 0)
-    state = StepState.of(Site.of(island), observation, "lossless")
+    island = replace(full(day), customers=customers).between(12, 13)
+    state = first_state(island)
     state = replace(state, pv_kw=0.0 * state.pv_kw, load_kw=np.zeros(len(names)))
-    former_kw = state.discharge_max_kw[full.formers].sum()
+    former_kw = state.discharge_max_kw[island.batteries.formers].sum()
     state.load_kw[[large, small]] = 0.8 * former_kw, 0.4 * former_kw
     served = rule_dispatch(state, list(island.tiers)).served[0]
     assert served[[large, small]].tolist() == [True, False]
@@ -634,8 +638,7 @@ BANKED = CIRCUIT.replace(
 @pytest.fixture(scope="module")
 def banked(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     """A day of that feeder, its batteries full."""
-    day = day_of(BANKED, tmp_path_factory.mktemp("banked"))
-    return replace(day, batteries=replace(day.batteries, soc_initial=day.batteries.soc_max))
+    return full(day_of(BANKED, tmp_path_factory.mktemp("banked")))
 
 
 def test_capacitors_are_switched_by_phase_in_islands(banked: Scenario) -> None:
@@ -665,9 +668,7 @@ def test_an_island_whose_answer_fails_holds_capacitors_of_one_phase(
     run = run_day(island, options, faults=FaultPlan({0: SolverOutage("killed")}))
     assert run.steps["fallback"].tolist() == ["rule"]
     assert run.steps["dark_reason"].tolist() == [""] and run.customers["served"].any()
-    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
-    kva = run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
-    assert kva.max() <= rating / 3 + 0.1
+    assert former_kva(run).max() <= phase_kva(island) + 0.1
 
 
 @pytest.mark.daily
@@ -707,7 +708,6 @@ def test_an_island_serves_what_lies_behind_regulators(tmp_path: Path) -> None:
     island = replace(day, batteries=batteries, pv_kw=0.0 * day.pv_kw).between(18, 20)
     island = replace(island, grid_limit_kw=np.zeros(2))
     run = run_day(island, RunOptions(horizon_h=2.0, isolate=False))
-    assert run.nodes is not None
     assert run.nodes["v_ac_pu"].between(day.network.v_min_ac_pu, day.network.v_max_ac_pu).all()
     assert (run.customers.groupby("time")["served"].sum() >= 4).all()
     assert recheck_run(run, tmp_path / "circuit.dss").voltages["difference_pu"].abs().max() < 1e-6

@@ -40,7 +40,6 @@ def line(ax: Axes, label: str) -> Line2D:
 
 def legend_of(ax: Axes) -> list[str]:
     found = ax.get_legend()
-    assert found is not None
     return [text.get_text() for text in found.get_texts()]
 
 
@@ -112,7 +111,6 @@ def test_each_kind_of_unit_has_its_mark_in_the_feeder() -> None:
     site = vppres.load_scenario("village-hot-week")
     ax = vppres.plot.feeder(site)
     legend = ax.get_legend()
-    assert legend is not None
     looks = {
         text.get_text().partition(" (")[0]: (
             mark.get_facecolor().tolist(),

@@ -156,7 +156,6 @@ def test_names_cannot_leave_the_data_of_scripts() -> None:
     text = render_report(run, summarise(run))
     assert "</script><b>" not in text
     data = re.search(r'id="diagram-data">(.*?)</script>', text, flags=re.DOTALL)
-    assert data is not None
     assert json.loads(data[1])["customers"][0] == "</script><b> (critical)"
 
 

@@ -49,5 +49,5 @@ def test_night_of_the_outage_runs_with_all_of_it(week: Scenario) -> None:
     assert run.steps["gap"].max() < 1e-4
     assert summary["served_share"]["critical"] == 1.0
     assert summary["gensets"]["hours_on"] > 0.0
-    assert run.vehicles is not None and run.vehicles["plugged"].any()
-    assert run.thermal_loads is not None and (run.thermal_loads["p_kw"] > 0.0).any()
+    assert run.vehicles["plugged"].any()
+    assert (run.thermal_loads["p_kw"] > 0.0).any()

@@ -173,7 +173,6 @@ def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:
     limits, highs = SolveLimits(time_s=10.0), find_solver("highs")
     task = WindowTask.begin(window(scenario), cache, limits, highs, 0)
     found = cheapest(task, served, modes=modes)
-    assert found is not None
     assert found.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
     less = replace(scenario, batteries=battery(soc=soc - 1e-6))
     task = WindowTask.begin(window(less), cache, limits, highs, 0)

@@ -147,11 +147,9 @@ def test_what_cannot_be_compiled_in_time_is_not_begun(
 
 
 def test_a_solver_gets_what_compiling_leaves(
-    monkeypatch: pytest.MonkeyPatch, tiny: Scenario
+    monkeypatch: pytest.MonkeyPatch, tiny: Scenario, now: list[float]
 ) -> None:
     """Compiling took its 5 s on top of the limit."""
-    now = [100.0]
-    monkeypatch.setattr("vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: now[0]))
     given = []
     of = ProgramSolution.of
 

@@ -32,6 +32,12 @@ def hours(limits_kw: list[float], load_kw: float = 3.0) -> Scenario:
     return replace(day, tiers=("critical", "high"), customers=ranked, batteries=b)
 
 
+def alone(limits_kw: list[float]) -> Scenario:
+    """One customer of 2 kW with the same battery."""
+    day = two_buses([[2.0]] * len(limits_kw), [1.0], limits_kw)
+    return replace(day, tiers=("critical",), batteries=hours([DARK]).batteries)
+
+
 @pytest.mark.parametrize("priority", ["strict", "weights"])
 @pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
 def test_nothing_is_kept_behind_an_outage_that_ends_with_the_run(
@@ -53,9 +59,7 @@ def test_nothing_is_kept_behind_an_outage_that_ends_before_the_run(priority: str
 @pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
 def test_headroom_that_moves_on_with_the_window_puts_nobody_off(controller: str) -> None:
     """7 kWh are stored; two hours take 4.2, and 1.3 stay in the battery for a tenth of 12 kVA."""
-    day = hours([DARK] * 9, load_kw=2.0)
-    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 8 + [OPEN])
-    day = replace(alone, tiers=("critical",), batteries=day.batteries)
+    day = alone([DARK] * 8 + [OPEN])
     options = RunOptions(horizon_h=5, mode="physical", outages="none", controller=controller)
     assert run_day(day, options).customers["served"].tolist() == [1, 1, *[0] * 6, 1]
 
@@ -80,10 +84,7 @@ def test_only_who_knows_that_the_outage_ends_keeps_nothing(outages: str, served:
 ], ids=lambda options: "-".join(str(value) for value in options.values()))  # fmt: skip
 def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
     """6.65 kWh are enough for three of nine dark hours of 2 kW: for the first three."""
-    day = hours([DARK] * 9, load_kw=2.0)
-    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 9)
-    day = replace(alone, tiers=("critical",), batteries=day.batteries)
-    run = run_day(day, RunOptions(horizon_h=5, **options))
+    run = run_day(alone([DARK] * 9), RunOptions(horizon_h=5, **options))
     assert run.customers["served"].tolist() == [1] * 3 + [0] * 6
 
 
@@ -109,8 +110,7 @@ def test_a_lone_customer_of_any_phase_is_not_put_off(
 @pytest.mark.parametrize("outages", ["none", "known"])
 def test_a_lone_customer_is_not_put_off_beside(kind: str, outages: str) -> None:
     """The same three hours, beside a set of 100 W or a vehicle that gets nothing in them."""
-    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 9)
-    day = replace(alone, tiers=("critical",), batteries=hours([DARK]).batteries)
+    day = alone([DARK] * 9)
     if kind == "set":
         day = replace(day, gensets=gensets(p_max_kw=0.1, p_min_kw=0.0))
     else:

@@ -19,10 +19,8 @@ from tests.support.injections import columns_of, in_network
 from tests.support.programs import knapsack
 from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
-from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, objective_scale
-from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
@@ -112,23 +110,6 @@ def test_search_begins_with_what_it_is_given(seed: int) -> None:
     assert ProgramSolution.of(poor, Deadline(TIME_S)).value == pytest.approx(best.value)
 
 
-def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
-    """Steps of a day at a state of charge, in plain LinDistFlow."""
-    rows, b = slice(first, first + steps), day.batteries
-    return WindowData(
-        day.load_kw[rows],
-        day.pv_kw[rows],
-        day.price_gbp_per_kwh[rows],
-        day.grid_limit_kw[rows],
-        np.full(len(b), soc),
-        b.eta_charge,
-        b.eta_discharge,
-        np.zeros((steps, day.network.n_lines)),
-        owed=Owed.of(day.customers, day.grid.dt_h),
-        parts=Parts.one(day.network, len(b), steps),
-    )
-
-
 def master_of_fleet(site: Site, data: WindowData, lumped: bool = True) -> Master:
     """The master without the network, which asks one battery first."""
     task = WindowTask.begin(data, shared_cache(site), SolveLimits(time_s=TIME_S), *SPEC)
@@ -151,7 +132,7 @@ def test_no_bound_of_the_fleet_excludes_what_can_be_dispatched(seed: int, lumped
 
 def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     """Large sums of demand and money must not blur a bound: everyone is served here."""
-    data = day_window(packaged, 2, 6, 0.5)
+    data = window(packaged, slice(2, 8), 0.5)
     site = Site.of(packaged)
     cost_gbp = WindowSolver(site).solve(data).terms.f2
     master = master_of_fleet(site, data)
@@ -162,7 +143,7 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
 
 
 def test_any_prices_give_a_bound(packaged: Scenario) -> None:
-    data = day_window(packaged, 12, 3, 0.5)
+    data = window(packaged, slice(12, 15), 0.5)
     model = fleet_problem(shared_cache(Site.of(packaged)), data, True, False, "service")
     model.write(data)
     program = program_of(model)
@@ -217,7 +198,7 @@ def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
 
     monkeypatch.setattr(Master, "cheaper", timed)
     monkeypatch.setattr(Certificate, "certified", certified)
-    data = day_window(packaged, 10, 8, 0.5)
+    data = window(packaged, slice(10, 18), 0.5)
     limits = SolveLimits(time_s=100.0)
     task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
     master = master_of(task, True)
@@ -233,7 +214,7 @@ def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> No
     weights = np.resize([1.0, 0.37, 0.11, 0.043, 0.017], len(packaged.customers))
     tiers = replace(packaged, customers=replace(packaged.customers, weight=weights))
     limit_kw = np.full(packaged.grid.n_steps, 1500.0)
-    data = day_window(replace(tiers, grid_limit_kw=limit_kw), 12, 6, 0.5)
+    data = window(replace(tiers, grid_limit_kw=limit_kw), slice(12, 18), 0.5)
     site = Site.of(tiers)
 
     exact, served = master_of_fleet(site, data).service(0.5)
@@ -249,7 +230,7 @@ def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> No
 @pytest.mark.daily
 @pytest.mark.monolith
 def test_network_master_certifies_a_window_whose_voltages_bind(heavy: Scenario) -> None:
-    data = day_window(heavy, 17, 3, 0.3)
+    data = window(heavy, slice(17, 20), 0.3)
     site = Site.of(heavy)
     decomposed, whole = (
         WindowSolver(site, method).solve(data) for method in ("decomposed", "monolithic")
@@ -260,7 +241,6 @@ def test_network_master_certifies_a_window_whose_voltages_bind(heavy: Scenario) 
     assert decomposed.objective >= whole.objective - 1e-4 * abs(whole.objective)
     master = in_network(site, data)
     outcome, served = master.service(0.5)
-    assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
     assert served.sum() < served.size
 
@@ -285,12 +265,11 @@ def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
 def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> None:
     sunny = replace(packaged, price_gbp_per_kwh=0.0 * packaged.price_gbp_per_kwh)
     site = Site.of(sunny)
-    data = day_window(sunny, 9, 4, 0.3)
+    data = window(sunny, slice(9, 13), 0.3)
     master = in_network(site, data)
     served = master.service(0.5)[1]
     assert served is not None
     dispatch = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
-    assert dispatch is not None
     # Everything is free here: only what has a value is a reason to pass the sun on.
     assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
 
@@ -298,7 +277,7 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
 def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
     heavy: Scenario,
 ) -> None:
-    data = day_window(heavy, 17, 3, 0.3)
+    data = window(heavy, slice(17, 20), 0.3)
     known, everything = (in_network(Site.of(heavy), data) for _ in range(2))
     units = known.most_units - 1.0
     assert everything.most_units == known.most_units
@@ -333,7 +312,6 @@ def test_network_master_knows_rules_and_physical_mode(kind: str, seed: int) -> N
 def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
     data, site = (w := hard_window("rules", seed)).data, w.site
     rules = data.switching
-    assert rules is not None
     model = Injections(ModelCache(site), data)
     program = model.program
     letters = ("x_served", "y_on", "y_off", "z_cold")
@@ -365,7 +343,7 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
-    data = day_window(heavy, 18, 4, 0.3)
+    data = window(heavy, slice(18, 22), 0.3)
     usual = WindowSolver(Site.of(heavy)).solve(data)
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     answer = WindowSolver(Site.of(heavy)).solve(data)
@@ -382,12 +360,11 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
 
 
 def test_least_reactive_power_leaves_the_active_power_and_needs_less(heavy: Scenario) -> None:
-    data, site = day_window(heavy, 17, 3, 0.3), Site.of(heavy)
+    data, site = window(heavy, slice(17, 20), 0.3), Site.of(heavy)
     master = in_network(site, data)
     served = master.service(0.5)[1]
     assert served is not None
     before = CheapestDispatch(site, data, master.network).of(served, Deadline(TIME_S))[1]
-    assert before is not None
     outcome, after = least_reactive(shared_cache(site), data, before, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)

@@ -76,6 +76,13 @@ def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
     return min(float(np.min(room, initial=1.0)) for room in rooms)
 
 
+def assert_between(site: Site, data: WindowData, found: WindowSolution, gap: float) -> None:
+    """The answer lies between plain statements with polygons inside and around the discs."""
+    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    assert inside - gap <= found.objective <= around + 1e-6
+    assert found.bound >= inside - 1e-6
+
+
 BY_COST = (4443,)
 """Seeds of windows in which everyone is served, and prices alone decide."""
 
@@ -85,10 +92,7 @@ BY_COST = (4443,)
 def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
     site, data, found = decided(random_phased(seed))
     assert seed not in BINDING or nearest(site, data, found) < 0.01
-    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
-    gap = max(5e-3, 1e-4 * abs(found.objective))
-    assert inside - gap <= found.objective <= around + 1e-6
-    assert found.bound >= inside - 1e-6
+    assert_between(site, data, found, gap=max(5e-3, 1e-4 * abs(found.objective)))
 
 
 @pytest.mark.daily
@@ -102,10 +106,7 @@ def test_windows_in_parts_equal_a_plain_statement_of_the_whole_problem(seed: int
     assert data.parts.forms.any()
     in_network = [stage for stage in found.stages if stage.startswith("network_service")]
     assert bool(in_network) == (seed == IN_NETWORK)
-    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
-    gap = max(5e-3, 1e-4 * abs(found.objective))
-    assert inside - gap <= found.objective <= around + 1e-6
-    assert found.bound >= inside - 1e-6
+    assert_between(site, data, found, gap=max(5e-3, 1e-4 * abs(found.objective)))
 
 
 @pytest.mark.parametrize("seed", [10, 58])
@@ -125,9 +126,7 @@ def test_a_capacitor_that_only_customers_balance_needs_no_search_of_the_whole_pr
     assert found.status == "optimal"
     assert "network_service[highs]" in found.stages
     assert not [stage for stage in found.stages if stage.startswith("full")]
-    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
-    assert inside - 1e-6 <= found.objective <= around + 1e-6
-    assert found.bound >= inside - 1e-6
+    assert_between(site, data, found, gap=1e-6)
 
 
 def with_kinds(seed: int) -> Scenario:

@@ -12,7 +12,7 @@ from benchmarks.frame.random_feeders import WEIGHT, Window, random_window
 from tests.support.reasons import checked
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario
-from vppres import Controller, Measurement, RunOptions, run_day
+from vppres import Controller, Measurement, RunOptions, SetPoints, run_day
 from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
@@ -215,18 +215,21 @@ def test_energy_that_was_left_is_not_blamed_on_lower_tiers() -> None:
     ]
 
 
+def first_step(day: Scenario, rule: str = "strict") -> SetPoints:
+    """What a live controller decides first."""
+    controller = Controller.of(day, RunOptions(priority=rule, isolate=False))
+    soc = {"b0": day.batteries.soc_initial[0]}
+    return controller.step(Measurement(controller.times[0], soc=soc))
+
+
 @pytest.mark.parametrize(("rule", "told"), [
     ("weights", {"inverted": "c0 (critical, 60.0 kW) is off supply, while c1, c2, c3 of lower "
         "tiers have 60.0 kW; the plan does not supply it in the next step either"}),
     ("strict", {"levels": "critical 2/2, low 0/0"}),
 ])  # fmt: skip
 def test_live_controllers_tell_order_and_levels(rule: str, told: dict[str, str]) -> None:
-    day = hospital_and_homes()
-    controller = Controller.of(day, RunOptions(priority=rule, isolate=False))
-    points = controller.step(Measurement(controller.times[0], soc={"b0": 0.85}))
-    assert {
-        name: points.solve[name] for name in ("levels", "inverted") if name in points.solve
-    } == told
+    solve = first_step(hospital_and_homes(), rule).solve
+    assert {name: solve[name] for name in ("levels", "inverted") if name in solve} == told
 
 
 def test_who_waits_for_a_later_step_is_told_with_what_charges() -> None:
@@ -238,9 +241,7 @@ def test_who_waits_for_a_later_step_is_told_with_what_charges() -> None:
     dim = replace(
         day, load_kw=load_kw, pv=sun, pv_kw=np.array([[60.0], [0.0]]), batteries=batteries
     )
-    controller = Controller.of(dim, RunOptions(priority="strict", isolate=False))
-    read = Measurement(controller.times[0], soc={"b0": batteries.soc_initial[0]})
-    told = controller.step(read).solve
+    told = first_step(dim).solve
     assert told["levels"] == "critical 1/1, low 2/2"
     assert str(told["inverted"]).startswith("c0 (critical, 60.0 kW) is off supply, while ")
     assert " of lower tiers have 40.0 kW and batteries charge with " in told["inverted"]
@@ -251,8 +252,7 @@ def test_a_lower_tier_whose_energy_does_not_suffice_is_told_with_its_minutes() -
     """For an hour of a home of 20 kW is enough stored, not for the hospital's 60 kW."""
     stored = battery(energy_kwh=200.0, p_max_kw=70.0, soc=0.15 + 21.0 / 190.0)
     day = replace(hospital_and_homes().between(0, 1), batteries=stored)
-    controller = Controller.of(day, RunOptions(priority="strict", isolate=False))
-    points = controller.step(Measurement(controller.times[0], soc={"b0": stored.soc_initial[0]}))
+    points = first_step(day)
     (home,) = points.customers.index[points.customers["served"] > 0.5]
     assert "inverted" not in points.solve
     assert points.solve["shorter"] == (

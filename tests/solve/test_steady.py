@@ -20,7 +20,6 @@ ANSWERED = (1, 2, 4, 5, 7, 8, 9)
 def test_steady_sets_obey_the_rules(seed: int) -> None:
     case = hard_window("rules", seed)
     rules = case.data.switching
-    assert rules is not None
     found = list(steady_sets(case.data))
     assert len(found) == 3
     for each in found:
@@ -38,7 +37,6 @@ def test_a_window_without_a_search_is_answered(monkeypatch: pytest.MonkeyPatch, 
     answer = WindowSolver(case.site).solve(case.data)
     assert np.isinf(answer.bound)
     rules = case.data.switching
-    assert rules is not None
     assert not rules.broken(answer.dispatch.served).any()
     cold = case.data.for_service(answer.dispatch.served)
     worst = check_dispatch(case.day.scenario, cold, answer.dispatch).worst[1]

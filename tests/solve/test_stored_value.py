@@ -9,11 +9,11 @@ import pytest
 
 from benchmarks.frame.random_feeders import random_window
 from tests.support.agreement import SHARP, assert_certified
+from tests.support.rated_windows import bent
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.control.converged import physics_of
 from vppres.model.beyond_paper.losses import lossless
-from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
@@ -26,17 +26,6 @@ def worth(per_kwh: float, least_kwh: float, most_kwh: float, as_service: bool) -
     """Each kWh is worth the same, in weighted customer hours."""
     energy = np.linspace(least_kwh, most_kwh, PIECES + 1)
     return StoredValue(energy, per_kwh * (energy - least_kwh), GBP_PER_SERVICE, as_service)
-
-
-def bent(seed: int, data: WindowData, site: Site) -> StoredValue:
-    """A random concave value of a window's fleet."""
-    rng = np.random.default_rng([seed, 11])
-    b = site.batteries
-    energy = np.linspace(b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max, PIECES + 1)
-    slope = np.sort(rng.exponential(0.01, PIECES))[::-1]
-    value = np.append(0.0, np.cumsum(slope * np.diff(energy)))
-    dark = bool((data.grid_limit_kw <= 0.0).all())
-    return StoredValue(energy, value, GBP_PER_SERVICE, dark)
 
 
 def dark_hour(weights: list[float], load_kw: list[float]) -> Scenario:
@@ -103,7 +92,9 @@ def test_every_master_weighs_later_service(
         day = two_buses([load], rng.choice([1.0, 0.1, 0.02], 30), [DARK])
         day = replace(day, batteries=battery(soc=0.7, p_max_kw=45.0, count=3, energy_kwh=60.0))
         data = window(day)
-        data = replace(data, stored_value=bent(seed, data, Site.of(day)))
+        data = replace(
+            data, stored_value=bent(np.random.default_rng([seed, 11]), data, Site.of(day))
+        )
         answer = WindowSolver(Site.of(day)).solve(data)
         whole = WindowSolver(Site.of(day), "monolithic", limits=SHARP).solve(data)
         near = abs(answer.objective - whole.objective) <= 1e-4 * whole.objective
@@ -124,7 +115,7 @@ def test_certificates_hold_against_the_monolith(nightly: bool, physical: bool) -
         data = data.first(1)
         if seed % 3:
             data = replace(data, grid_limit_kw=np.zeros(1))
-        data = replace(data, stored_value=bent(seed, data, site))
+        data = replace(data, stored_value=bent(np.random.default_rng([seed, 11]), data, site))
         if physical:
             data = lossless(data, physics_of(site, data, 0.1))
         assert_certified(site, data)

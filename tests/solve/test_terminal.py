@@ -157,7 +157,6 @@ def test_the_price_is_above_every_import_and_export() -> None:
     ):
         forecast = Forecast(row, row, prices, [np.inf, 0.0], [20.0, 20.0], export, out=nothing)
         terminal = Terminal.of(0.5, forecast, ends=True)
-        assert terminal is not None
         assert terminal.price_gbp_per_kwh == pytest.approx(expected)
         assert Terminal.of(0.5, forecast, ends=False) is None
         assert Terminal.of(None, forecast, ends=True) is None
@@ -185,7 +184,6 @@ def test_explanations_know_of_the_end(tiny: Scenario) -> None:
     """In the last hour a stored kWh is worth the price of a missing one."""
     run = explain_day(run_day(last_hours(tiny), RunOptions(horizon_h=1.0, soc_end=0.85)))
     prices = run.shadow_prices
-    assert prices is not None
     stored_kwh = prices[prices["constraint"] == "stored_energy"]
     worth = stored_kwh[stored_kwh["time"] == tiny.grid.times[5]]["gbp"].max()
     assert worth == pytest.approx(2 * 0.45, rel=0.02)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks.frame.random_feeders import Window, random_state, random_window
-from tests.support.agreement import BOUND_TOLERANCE, assert_agree, assert_sound
+from tests.support.agreement import BOUND_TOLERANCE, assert_agree, assert_sound, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import (
     CHECKER_TOLERANCE,
@@ -450,7 +450,7 @@ def test_search_goes_on_to_the_gap_of_what_can_be_served() -> None:
 def test_bounds_hold_where_prices_are_below_zero(seed: int, stressed: bool) -> None:
     case = random_window(seed, stressed)
     data = replace(case.data, price_gbp_per_kwh=case.data.price_gbp_per_kwh - 0.35)
-    answers = [WindowSolver(Site.of(case.scenario), method).solve(data) for method in METHODS]
+    answers = both_methods(Site.of(case.scenario), data)
     assert_agree(case.scenario, data, answers)
     for answer in answers:
         assert answer.cost_gap_gbp >= 0.0

@@ -73,7 +73,7 @@ def gone(pid: int, within_s: float = 60.0) -> bool:
 
 def same(one: WindowSolution, other: WindowSolution) -> bool:
     """Whether two solutions agree in every bit but those of their times."""
-    numbers = (
+    told = [
         "terms",
         "objective",
         "bound",
@@ -82,8 +82,8 @@ def same(one: WindowSolution, other: WindowSolution) -> bool:
         "cost_gap_gbp",
         "stages",
         "passes",
-    )
-    return all(getattr(one, name) == getattr(other, name) for name in numbers) and all(
+    ]
+    return all(getattr(one, name) == getattr(other, name) for name in told) and all(
         values.tobytes() == getattr(other.dispatch, name).tobytes()
         and values.dtype == getattr(other.dispatch, name).dtype
         for name, values in one.dispatch.arrays().items()
@@ -462,7 +462,6 @@ def test_nothing_outlives_a_parent_that_is_killed(factory: str, start: str, tmp_
     solvers[0].solve(bad(data))
     """
     with script(body, tmp_path) as parent:
-        assert parent.stdout is not None
         pid = int(parent.stdout.readline())
         time.sleep(0.5)
         assert Path(f"/proc/{pid}").exists()

@@ -79,7 +79,6 @@ class Server:
 
     def stop(self) -> None:
         """Stop it at once, as a crash does."""
-        assert self._process is not None
         self._process.send_signal(signal.SIGQUIT)
         self._process.wait()
 

@@ -73,14 +73,29 @@ def forming(seed: int) -> Case:
         ramp_down_kw_per_h=slow,
     )
     day = replace(scenario, gensets=sets)
+    return formed_by_sets(day, data, rng)
+
+
+def formed_by_sets(day: Scenario, data: WindowData, rng: np.random.Generator) -> Case:
+    """An outage from the first or second step on, formed by the sets of a site where they can."""
     outage = np.arange(data.n_steps) >= rng.integers(0, 2)
-    seen = SetsAhead.of(day, range(data.n_steps), GensetState.at_first(sets))
+    seen = SetsAhead.of(day, range(data.n_steps), GensetState.at_first(day.gensets))
     limits = np.where(outage, 0.0, data.grid_limit_kw)
     data = replace(data, grid_limit_kw=limits, ahead=KindsAhead({"gensets": seen}))
     site = Site.of(day)
     data, dark = data.formed(site, dark_steps(site, data), 0.1)
     lit = without_power(data, dark)
     return site, lossless(lit, physics_of(site, lit, 0.1))
+
+
+def bent(rng: np.random.Generator, data: WindowData, site: Site) -> StoredValue:
+    """A random concave value of what a window's fleet holds at its end."""
+    b = site.batteries
+    energy = np.linspace(b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max, PIECES + 1)
+    slope = np.sort(rng.exponential(0.01, PIECES))[::-1]
+    worth = np.append(0.0, np.cumsum(slope * np.diff(energy)))
+    dark = bool((data.grid_limit_kw <= 0.0).all())
+    return StoredValue(energy, worth, 1000.0, dark)
 
 
 def by_belief(seed: int) -> Case:
@@ -91,11 +106,7 @@ def by_belief(seed: int) -> Case:
     if seed % 3:
         data = replace(data, grid_limit_kw=np.zeros(data.n_steps))
     if len(b):
-        energy = np.linspace(b.energy_kwh @ b.soc_min, b.energy_kwh @ b.soc_max, PIECES + 1)
-        slope = np.sort(rng.exponential(0.01, PIECES))[::-1]
-        worth = np.append(0.0, np.cumsum(slope * np.diff(energy)))
-        dark = bool((data.grid_limit_kw <= 0.0).all())
-        data = replace(data, stored_value=StoredValue(energy, worth, 1000.0, dark))
+        data = replace(data, stored_value=bent(rng, data, site))
     if seed % 2:
         ranks = Ranks.of(scenario.customers, scenario.tiers, data.n_steps)
         site = site.ranked(ranks, data.n_steps)

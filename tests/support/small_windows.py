@@ -87,6 +87,14 @@ def full_of(energy_kwh: float) -> Batteries:
     return battery(2e3, 1e3, 1e3, soc=0.15 + energy_kwh / 0.95 / 2e3)
 
 
+def island(
+    load_kw: Sequence[Sequence[float]], weights: Sequence[float], energy_kwh: float
+) -> Scenario:
+    """A dark feeder whose battery can give this much energy at its terminals, and any power."""
+    day = two_buses(load_kw, weights, [DARK] * len(load_kw))
+    return replace(day, batteries=full_of(energy_kwh))
+
+
 def with_pv(scenario: Scenario, pv_kw: Sequence[float], s_max_kva: float = 100.0) -> Scenario:
     """The scenario with a PV system of customer ``c0``."""
     pv = PVSystems(id=["p0"], customer=["c0"], p_max_kw=[max(pv_kw)], s_max_kva=[s_max_kva])
