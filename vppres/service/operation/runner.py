@@ -70,7 +70,6 @@ from vppres.service.telemetry.knowledge import (
     CLOSED,
     INSTANT,
     Grid,
-    Heard,
     Latest,
     StepInputs,
     grid_at,
@@ -160,7 +159,7 @@ class Runner:
         options = service.options.on(service.scenario)
         limits = replace(options.limits, time_s=min(options.limits.time_s, most_s))
         self.options = replace(options, limits=limits)
-        self.heard: list[Heard] = []
+        self.heard: list[dict[str, Any]] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
@@ -584,7 +583,7 @@ class Runner:
             self._feed(time)
             now = self._within.at if self._within else None
             known = known_at(time, self._controller, self.store, self.rehearsal, now)
-            self.heard = known.latest.told
+            self.heard = known.latest.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
             tables = tables_of(decision, self.scenario)

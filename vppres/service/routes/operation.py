@@ -31,7 +31,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "steps": runner.outcomes,
             "sources": last_heard(runner.store),
             "alarms": runner.alarms.listed(runner.clock.now()),
-            "heard": [one.as_told() for one in runner.heard],
+            "heard": runner.heard,
         }
 
     @router.get("/v1/mode")
