@@ -32,7 +32,6 @@ from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
 from vppres.service.storage.records import Reading, seconds
 from vppres.service.storage.store import Store
-from vppres.service.telemetry.knowledge import Heard
 
 HOUR = pd.Timedelta("1h")
 MINUTE = pd.Timedelta("1min")
@@ -182,7 +181,7 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     served = {"hospital": [hour != hours for hour in range(1, 9)], "shop": [False] * 8}
     plan = {"status": "ok", "start": written(NOON), "setpoints": []}
     plan["ahead"] = {"times": times, "served": served}
-    heard = [Heard(Reading("big", "soc", 0, "scada", 3600, 0.5), 0, "ok")]
+    heard = [{"asset": "big", "quantity": "soc", "source": "scada", "state": "ok"}]
     now = Situation(NOON, tiny, plan, 3600.0, (), heard, {}, False, {})
     found = [(one.kind, one.priority, one.text, one.due) for one in conditions(now)]
     words = f"Planned: hospital of the first tier off supply at {NOON + hours * HOUR:%H:%M}."

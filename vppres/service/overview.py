@@ -26,7 +26,7 @@ from vppres.service.payloads import ModeRequest
 from vppres.service.plans.document import DARK, points_at, refused_of
 from vppres.service.replay.export import off_minutes
 from vppres.service.storage.records import Reading, moment
-from vppres.service.telemetry.knowledge import MEAN, Heard, Latest, last_heard
+from vppres.service.telemetry.knowledge import MEAN, Latest, last_heard
 from vppres.service.telemetry.phased_readings import stored
 
 PAST_H = 12.0
@@ -183,8 +183,8 @@ class Overview:
             "alarms": runner.watch.alarms.listed(now),
             "switching": self._switching() if runner.watch.is_switching else None,
             "events": {name: event.body for name, event in runner.store.events().items()},
-            "sources": self._sources(latest.told, now),
-            "measured": self._measured([h.reading for h in latest.heard], now),
+            "sources": self._sources(latest.heard, now),
+            "measured": self._measured(latest.found, now),
             "soc": found.soc,
             "formers": [vars(one) for one in found.formers or ()],
             "plan": self._told(plan, now, found.why_dark) if plan else None,
@@ -259,7 +259,9 @@ class Overview:
             tiers.setdefault(tier, []).append(name)
         return tiers
 
-    def _sources(self, heard: Iterable[Heard], now: pd.Timestamp) -> list[dict[str, Any]]:
+    def _sources(
+        self, heard: Iterable[Mapping[str, Any]], now: pd.Timestamp
+    ) -> list[dict[str, Any]]:
         """Each source: when it was last heard from, and what of it is late or was refused."""
         refused = [*self.runner.hearing.refused.standing(now)]
         contacts = {one.source: written(at) for one, at in refused} | last_heard(self.runner.store)
@@ -276,12 +278,12 @@ class Overview:
         }
         for one, _ in refused:
             found[one.source]["refused"].append(one.words)
-        for h in heard:
-            source = found[h.reading.source]
-            if h.state == "ok":
+        for reading in heard:
+            source = found[reading["source"]]
+            if reading["state"] == "ok":
                 source["ok"] += 1
             else:
-                source[h.state].append(f"{h.reading.quantity} of {h.reading.asset}")
+                source[reading["state"]].append(f"{reading['quantity']} of {reading['asset']}")
         return list(found.values())
 
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:

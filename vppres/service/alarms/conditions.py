@@ -26,7 +26,7 @@ from vppres.service.storage.records import asks, seconds
 from vppres.service.storage.statements import REFUSED, why_refused
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
-from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
+from vppres.service.telemetry.knowledge import Latest, refusing, soc_now
 from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers
 
 HIGH, MEDIUM = "high", "medium"
@@ -92,7 +92,7 @@ class Situation:
     plan: Mapping[str, Any]
     ahead_s: float
     unaware_of: Sequence[str]
-    heard: Sequence[Heard]
+    heard: Sequence[Mapping[str, Any]]
     soc: Mapping[str, float]
     is_dark: bool
     failing: Mapping[str, str]
@@ -173,7 +173,7 @@ def situation(
         plan,
         ahead_s,
         unaware_of,
-        latest.told,
+        latest.heard,
         soc,
         is_dark,
         failing,
@@ -436,7 +436,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 
 def _late_batteries(now: Situation) -> list[str]:
     """Batteries whose state of charge was late when the plan was made, and still is."""
-    heard = {h.reading.asset: h.state for h in now.heard if h.reading.quantity == "soc"}
+    heard = {one["asset"]: one["state"] for one in now.heard if one["quantity"] == "soc"}
     plan = now.plan or {}
     then = {one["asset"] for one in plan.get("late", ()) if one["quantity"] == "soc"}
     names = [str(name) for name in now.scenario.batteries.id]
@@ -478,9 +478,9 @@ def _source_lost(now: Situation) -> Iterator[Condition]:
         yield Condition("source_lost", "", MEDIUM, "No source has sent a reading.")
     by_source: dict[str, list[str]] = {}
     for one in now.heard:
-        if one.state == "lost":
-            read = one.reading
-            by_source.setdefault(read.source, []).append(f"{read.quantity} of {read.asset}")
+        if one["state"] == "lost":
+            words = f"{one['quantity']} of {one['asset']}"
+            by_source.setdefault(one["source"], []).append(words)
     for source, names in by_source.items():
         yield Condition(
             "source_lost", source, MEDIUM, f"No data from {source}: {named(names, NAMES_SHOWN)}."

@@ -31,7 +31,7 @@ from vppres.service.plans.document import (
 from vppres.service.plans.gate import refusals
 from vppres.service.plans.ruled import ruled
 from vppres.service.storage.records import After
-from vppres.service.telemetry.knowledge import Grid, Heard, Latest, StepInputs, grid_at, known_at
+from vppres.service.telemetry.knowledge import Grid, Latest, StepInputs, grid_at, known_at
 from vppres.service.telemetry.learned import learned
 
 LAST_PLAN = "last plan"
@@ -53,7 +53,7 @@ class Deciding:
 
     Attributes
     ----------
-    heard : list of Heard
+    heard : list of dict
         How old the readings of the last decision were.
     expected : dict of str
         Inputs of the last decisions, by the plan's identifier.
@@ -61,7 +61,7 @@ class Deciding:
 
     def __init__(self, site: OperatedSite) -> None:
         self.site = site
-        self.heard: list[Heard] = []
+        self.heard: list[dict[str, Any]] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self._odd = set[str]()
         self._state = ""
@@ -132,7 +132,7 @@ class Deciding:
             self._feed(span)
             now = span.since if span.why else None
             known = known_at(span.begin, self.controller, site.store, site.rehearsal, now)
-            self.heard = known.latest.told
+            self.heard = known.latest.heard
             decision = self.controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
             tables = tables_of(decision, site.scenario)

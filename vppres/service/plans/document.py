@@ -132,7 +132,7 @@ def plan_of(
             *known.estimated,
         ],
         **({"asked_again": [known.again]} if known.again else {}),
-        "late": [one.as_told() for one in known.latest.told if one.state != "ok"],
+        "late": [one for one in known.latest.heard if one["state"] != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
         "shed": [{"asset": name, "reason": why} for name, why in shed.items()],
         "setpoints": _set_points(

@@ -32,7 +32,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "steps": runner.outcomes,
             "sources": last_heard(runner.store),
             "alarms": runner.watch.alarms.listed(runner.clock.now()),
-            "heard": [one.as_told() for one in runner.deciding.heard],
+            "heard": runner.deciding.heard,
         }
 
     @router.get("/v1/mode")

@@ -82,36 +82,13 @@ WHERE = "telemetry"
 _Powers = tuple[pd.DataFrame | None, dict[str, list[str]], list[str]]
 
 
-@dataclass(frozen=True)
-class Heard:
-    """A reading and its age: "ok", "stale" where it is estimated, "lost" after long silence."""
-
-    reading: Reading
-    age_s: int
-    state: str
-
-    @classmethod
-    def of(cls, reading: Reading, now_s: int, step_s: int) -> Heard:
-        """A reading at a moment."""
-        held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
-        age_s = max(now_s - held, 0)
-        long_s = max(reading.resolution_s, step_s)
-        holds_s = reading.resolution_s if reading.quantity in MOVING else long_s
-        lost_s = LOST_AFTER * long_s  # an outage that was seen lasts on
-        state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
-        return cls(reading, age_s, state)
-
-    def as_told(self) -> dict[str, Any]:
-        """Age of the reading, as answers have it."""
-        named = {name: getattr(self.reading, name) for name in ("asset", "quantity", "source")}
-        return {**named, "age_s": self.age_s, "state": self.state}
-
-
 @dataclass(frozen=True, eq=False)
 class Latest:
-    """Last readings at a time, by asset and quantity, of all that was ever received."""
+    """Last readings of all that was ever received, at a moment within a step of some length."""
 
-    heard: list[Heard]
+    found: list[Reading]  #: one of each asset and quantity
+    now_s: int
+    step_s: int
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
@@ -122,13 +99,36 @@ class Latest:
         found += store.latest(until, [ONLINE], known=True)  # silence brings no device back
         for kind in every().values():
             found = kind.of_those_here(found)
-        return cls([Heard.of(reading, seconds(time), step_s) for reading in found])
+        return cls(found, seconds(time), step_s)
+
+    def age_s(self, one: Reading) -> int:
+        """Age of a reading; a mean is as old as the end of its time."""
+        held = one.time + (one.resolution_s if one.quantity in MEAN else 0)
+        return max(self.now_s - held, 0)
+
+    def state(self, one: Reading) -> str:
+        """A reading is "ok", "stale" where it is estimated, "lost" after long silence."""
+        long_s = max(one.resolution_s, self.step_s)
+        if self.age_s(one) < (one.resolution_s if one.quantity in MOVING else long_s):
+            return "ok"
+        # An outage that was seen lasts on.
+        return "stale" if self.age_s(one) <= LOST_AFTER * long_s else "lost"
 
     @property
-    def told(self) -> list[Heard]:
-        """Readings whose age answers have: what is said once is never late."""
+    def heard(self) -> list[dict[str, Any]]:
+        """Age and state of each reading, as answers have them; what is said once is never late."""
         once = {name for kind in every().values() for name in kind.told_once}
-        return [one for one in self.heard if one.state == "ok" or one.reading.quantity not in once]
+        return [
+            {
+                "asset": one.asset,
+                "quantity": one.quantity,
+                "source": one.source,
+                "age_s": self.age_s(one),
+                "state": state,
+            }
+            for one in self.found
+            if (state := self.state(one)) == "ok" or one.quantity not in once
+        ]
 
     @property
     def soc(self) -> dict[str, float]:
@@ -138,13 +138,12 @@ class Latest:
     @property
     def grid(self) -> Reading | None:
         """The last reading of whether there is grid, unless it is lost; None without one."""
-        found = [one.reading for one in self._of("grid_on") if one.state != "lost"]
-        return found[0] if found else None
+        return next((one for one in self._of("grid_on") if self.state(one) != "lost"), None)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset; NaN where it is too old, or known to be missing."""
         found = self._of(quantity)
-        return {h.reading.asset: h.reading.value if h.state == "ok" else np.nan for h in found}
+        return {one.asset: one.value if self.state(one) == "ok" else np.nan for one in found}
 
     def holding(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity that hold, by asset."""
@@ -152,14 +151,14 @@ class Latest:
 
     def newest(self, quantity: str) -> dict[str, Reading]:
         """The last readings of a quantity by asset, however old they are."""
-        return {h.reading.asset: h.reading for h in self._of(quantity) if h.reading.known}
+        return {one.asset: one for one in self._of(quantity) if one.known}
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
-        return {one.reading.asset for one in self._of(quantity) if one.state == "lost"}
+        return {one.asset for one in self._of(quantity) if self.state(one) == "lost"}
 
-    def _of(self, quantity: str) -> list[Heard]:
-        return [one for one in self.heard if one.reading.quantity == quantity]
+    def _of(self, quantity: str) -> list[Reading]:
+        return [one for one in self.found if one.quantity == quantity]
 
 
 @dataclass(frozen=True, eq=False)
