@@ -59,7 +59,7 @@ def overloaded_line(step: Step, customer: int) -> int | None:
     if step.site.phases:
         return _overloaded_current(step, customer)
     most_kva = step.levels.window.flow_max_kva
-    if most_kva is None:
+    if not len(most_kva):
         return None
     now = step.recorded.flow_kw[step.t] + 1j * step.recorded.flow_kvar[step.t]
     kw, kvar = _flows_for(step, customer)

@@ -111,10 +111,10 @@ class WindowData:
     #: What is left in the batteries at the end is worth; None, the paper, sees nothing behind.
     stored_value: StoredValue | None = None
     #: Squared referred voltages that the feeder has without control, to which its limits give way,
-    #: (W, N); NaN where they do not. None, the paper, has hard limits.
-    own_u_pu2: Floats | None = None
-    #: Largest flow of each line, (W, L); None, the paper, has no ratings.
-    flow_max_kva: Floats | None = None
+    #: (W, N); NaN where they do not. No row, the paper, has hard limits.
+    own_u_pu2: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    #: Largest flow of each line, (W, L); no row, the paper, has no ratings.
+    flow_max_kva: Floats = field(default_factory=lambda: np.empty((0, 0)))
     phased: PhasedWindow | None = None  #: voltages and former by phase; None for a balanced feeder
     #: Customers that cannot be dimmed, (C,); None where all that the site dims can be.
     whole: Flags | None = None
@@ -249,7 +249,10 @@ class WindowData:
         """Some steps of the window; ``soc`` stays that of its beginning."""
         cut = {
             name: getattr(self, name)[steps]
-            for name in ("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2")
+            for name in (
+                *("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2"),
+                *("own_u_pu2", "flow_max_kva"),
+            )
         }
         to_the_end = steps.indices(self.n_steps)[1] == self.n_steps
         return replace(
@@ -264,8 +267,6 @@ class WindowData:
             ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
-            own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
-            flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
             parts=self.parts.steps(steps),
             unspent=self.unspent and self.unspent.part(steps),
@@ -277,7 +278,7 @@ class WindowData:
         shape = (self.n_steps, network.n_buses)
         lowest = np.broadcast_to(network.u_min_pu2, shape)
         highest = np.broadcast_to(network.u_max_pu2, shape)
-        if self.own_u_pu2 is None:
+        if not len(self.own_u_pu2):
             return lowest, highest
         return np.fmin(lowest, self.own_u_pu2), np.fmax(highest, self.own_u_pu2)
 

@@ -56,7 +56,7 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     within_ac = np.clip(own, least, most)
     beyond = (own < net.u_min_pu2) | (own > net.u_max_pu2)
     beyond_ac = connected & (own != within_ac)
-    states: list[Floats | None] = [None]
+    states = [np.empty((0, net.n_buses))]
     if beyond[:, 1:].any():
         states.append(within_ac)
     if beyond_ac[:, 1:].any():
@@ -100,8 +100,8 @@ def voltages_without_control(site: Site, data: WindowData) -> Floats:
     None, (0, N), where the limits stand.
     """
     net = site.network
-    if data.own_u_pu2 is None:
-        return np.empty((0, net.n_buses))
+    if not len(data.own_u_pu2):
+        return data.own_u_pu2
     linear = net.v_pu(data.own_u_pu2[0])
     points = _ac_points(site, data, _own_state(site, data)[1])
     return np.stack([linear, np.where(points.converged[0], points.v_pu[0], linear)])

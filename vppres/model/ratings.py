@@ -90,9 +90,9 @@ def has_ratings(data: WindowData) -> bool:
     """Whether currents of a window are limited."""
     if data.phased is not None:
         return bool(np.isfinite(data.phased.current_max).any())
-    return data.flow_max_kva is not None
+    return len(data.flow_max_kva) > 0
 
 
 def limit_kva(data: WindowData) -> Floats | float:
     """Largest flow of each line, (W, L); infinite where nothing limits it."""
-    return np.inf if data.flow_max_kva is None else data.flow_max_kva
+    return data.flow_max_kva if len(data.flow_max_kva) else np.inf

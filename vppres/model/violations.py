@@ -217,7 +217,7 @@ def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Flows of the lines, as they follow from the powers."""
-    if data.flow_max_kva is None:
+    if not len(data.flow_max_kva):
         return {}
     over_kva = np.hypot(*_flows(site, data, d)) - data.flow_max_kva
     return {"line rating": _most(power_tolerance_kw(site, data), over_kva)}

@@ -78,7 +78,8 @@ def limits_of(site: Site, data: WindowData, problem: Selected) -> Limits | None:
     if data.phased is not None:
         return PhaseLimits(site, data, problem)
     stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
-    return None if data.flow_max_kva is None or stated else FlowLimits(site, data, problem)
+    limited = len(data.flow_max_kva) and not stated
+    return FlowLimits(site, data, problem) if limited else None
 
 
 def run_within_limits(
@@ -98,7 +99,7 @@ def run_within_limits(
     ``rows`` then, and their duals behind the problem's own.
     """
     solve = solve or partial(run_conic, problem)
-    if data.phased is None and data.flow_max_kva is None:
+    if data.phased is None and not len(data.flow_max_kva):
         return solve(time_s)
     deadline = Deadline(time_s)
     problem.compile()

@@ -34,7 +34,7 @@ class LineRatings(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether flows are limited."""
-        return None if data.flow_max_kva is None else True
+        return True if len(data.flow_max_kva) else None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -49,7 +49,6 @@ class LineRatings(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        assert data.flow_max_kva is not None
         write(self.S_line, data.flow_max_kva[:, self.lines])
 
 

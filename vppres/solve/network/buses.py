@@ -141,7 +141,7 @@ class Buses:
     def _flows(self, x: Floats) -> list[Rows]:
         """Tangents of the lines' flows that exceed their limits, as shares of these."""
         most = self.data.flow_max_kva
-        if most is None:
+        if not len(most):
             return []
         p, q = self.flows(x)
         size = np.hypot(p, q)
