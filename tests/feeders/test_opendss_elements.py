@@ -592,11 +592,24 @@ def test_what_the_feeder_has_not_is_named_as_the_cause(name: str, tmp_path: Path
     assert [each for each in phased.causes if each.startswith(cause)]
 
 
-def test_controls_that_do_not_come_to_rest_are_told(tmp_path: Path) -> None:
-    control = "new capcontrol.h capacitor=h element=line.l terminal=1 type=pf on=.98 off=-.98"
-    lines = (*BASE, "new capacitor.h bus1=b kv=4.16 kvar=100", control)
-    notes = import_network(written(tmp_path, lines)).notes
-    assert any(note.startswith("OpenDSS's controls do not come to rest") for note in notes)
+UNSOLVED = {
+    "controls": (
+        "new capacitor.h bus1=b kv=4.16 kvar=100",
+        "new capcontrol.h capacitor=h element=line.l terminal=1 type=pf on=.98 off=-.98",
+        "OpenDSS's controls do not come to rest",
+    ),
+    "a model of one's own": (
+        "new generator.x bus1=b kv=4.16 kw=60 model=6",
+        "OpenDSS does not solve the circuit ((#567) Generator.x model designated to use user-",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNSOLVED)
+def test_what_opendss_says_of_its_solution_is_told(name: str, tmp_path: Path) -> None:
+    *lines, told = UNSOLVED[name]
+    notes = import_network(written(tmp_path, (*BASE, *lines))).notes
+    assert [note for note in notes if note.startswith(told)]
 
 
 def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:

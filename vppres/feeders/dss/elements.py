@@ -28,7 +28,7 @@ class Circuit:
     """The engine's circuit: its elements, and those that are something else here."""
 
     ends_solved: bool = False  #: whether the script's last command has solved it
-    settled: bool = True  #: whether its controls come to rest
+    said: str = ""  #: what OpenDSS said when it did not solve the script's circuit
     at_rest: bool = False  #: whether what storage draws at rest is left out of its solution
     #: Options of ``set`` that the script has and OpenDSS did not get.
     left_out: tuple[str, ...] = ()

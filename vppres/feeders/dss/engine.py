@@ -75,7 +75,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     circuit, problems = build(job)
     if problems:
         return {"problems": problems}
-    circuit.settled = settled(circuit)
+    at_rest = settled(circuit)
     disabled = job.get("disabled", [])
     kept = _needed(disabled, circuit) if job.get("keep") else []
     for element in disabled:
@@ -91,7 +91,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "shapes": _shapes(circuit),
         "causes": list(_causes(circuit)),
         "beyond": list(_beyond(circuit)) if solved else [],
-        "notes": list(_notes(circuit)),
+        "notes": [*_notes_on_solution(circuit, solved, at_rest), *_notes(circuit)],
     }
 
 
@@ -238,6 +238,8 @@ def _carried_out(circuit: Circuit, text: str, element: str = "") -> str:
             dss.Circuit.Disable(element)
         elif text not in SOLVES or told(error).startswith(NO_MATRIX):
             return f"OpenDSS refuses the file ({told(error)})"
+        else:
+            circuit.said = told(error)
     return ""
 
 
@@ -545,6 +547,14 @@ def _minutes() -> float:
     return float(apart[0]) if len(apart) and np.allclose(apart, apart[0]) else 0.0
 
 
+def _notes_on_solution(circuit: Circuit, solved: bool, at_rest: bool) -> Iterator[str]:
+    """Why there is no solution, or none in which controls have found their places."""
+    if solved and not at_rest:
+        yield "OpenDSS's controls do not come to rest: they stay where its last solution has them."
+    if not solved and circuit.said:
+        yield f"OpenDSS does not solve the circuit ({circuit.said})."
+
+
 def _notes(circuit: Circuit) -> Iterator[str]:
     """Notes on elements that are modelled as something else, balanced or by phase."""
     if circuit.left_out:
@@ -556,8 +566,6 @@ def _notes(circuit: Circuit) -> Iterator[str]:
             f"Bus {bus} has {kv:g} kV, by the rating of its transformer: OpenDSS takes another "
             "level of 'voltagebases' for it."
         )
-    if not circuit.settled:
-        yield "OpenDSS's controls do not come to rest: they stay where its last solution has them."
     unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in circuit.of("line")]
     if any(unrated):
         yield (
