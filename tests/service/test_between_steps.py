@@ -30,7 +30,7 @@ from tests.support.live_service import (
 from vppres.core.errors import InputError, StorageError
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import SetClock
+from vppres.service.clock import SetClock, written
 from vppres.service.events.announced import check_not_over
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
@@ -207,6 +207,30 @@ def test_a_state_of_charge_far_from_the_plan_is_planned_for_at_once(live: Runnin
         assert runner.changes.reasons == reasons
         plan = runner.anew() or plan
     assert plan["expected"]["soc_start"]["big"] == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_grid_that_may_not_be_drawn_from_is_no_news_with_each_reading(live: Running) -> None:
+    http, clock, runner = live
+    limit = {"type": "import_limit", "start": written(NOON), "limit_kw": 0.0}
+    http.put("/v1/events/limit", limit)
+    http.post("/v1/telemetry", grid(1.0))
+    plan = runner.anew()
+    assert plan is not None and plan["grid"] == {"available": False, "known_by": "limit"}
+    clock.set(LATER + pd.Timedelta("1min"))
+    http.post("/v1/telemetry", grid(1.0, clock.now()))
+    assert runner.changes.reasons == ()
+
+
+def test_of_two_prices_the_one_that_was_written_later_counts(live: Running) -> None:
+    """Whatever their names are."""
+    http, clock, runner = live
+    for minutes, name, price in ((0, "b", 0.9), (1, "a", 0.1), (2, "b", 0.8)):
+        clock.set(LATER + pd.Timedelta(minutes=minutes))
+        hour = {"start": written(NOON), "resolution": "PT1H", "price_gbp_per_kwh": [price]}
+        http.put(f"/v1/events/{name}", {"type": "price", **hour})
+        clock.set(clock.now() + pd.Timedelta("10s"))
+        plan = runner.anew()
+        assert plan is not None and plan["expected"]["price_gbp_per_kwh"] == price
 
 
 def test_the_rest_of_a_step_is_decided_after_a_restart_as_without_one(

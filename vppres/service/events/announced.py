@@ -39,9 +39,12 @@ SAID_OF_END = {
 
 
 def prices(events: Iterable[Event], window: Window) -> Floats:
-    """Import prices of a window, (W,): those of events over those of the profile."""
+    """Import prices of a window, (W,): those of events over those of the profile.
+
+    Of two events the one that was written later counts.
+    """
     found = window.series["price_gbp_per_kwh"].copy()
-    for event in events:
+    for event in sorted(events, key=lambda one: one.made_at):
         if isinstance(event.said, payloads.Prices):
             window.lay(found, event.said, event.said.price_gbp_per_kwh)
     return found

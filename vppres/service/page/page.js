@@ -12,7 +12,7 @@ const WHY_PATIENCE_MS = 125000;
 const SHELF_H = 4; // of a shift; over HTTP an alarm is shelved for as long as you ask
 const LOST_MS = 10000; // without an answer, after which the page shows that it is out of date
 
-const KNOWN_BY = { reading: ", measured", "last reading": ", last measured", event: ", announced", belief: ", most likely", profile: ", by profile" };
+const KNOWN_BY = { reading: ", measured", "last reading": ", last measured", event: ", announced", belief: ", most likely", limit: ", by a limit of import", profile: ", by profile" };
 
 const $ = (id) => document.getElementById(id);
 let token = null; // in memory alone

@@ -12,6 +12,9 @@ from vppres.service.events.announced import announced_at
 from vppres.service.storage.records import Reading, moment, seconds
 from vppres.service.storage.store import Store
 
+LIMIT = "limit"
+"""Who says that there is no grid where one is read, of which nothing may be imported."""
+
 GRID_ON, IMPORT = "grid_on", "import_kw"
 
 AGAIN_S = 10

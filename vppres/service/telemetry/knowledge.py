@@ -44,7 +44,7 @@ from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
 from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
-from vppres.service.telemetry.grid_readings import contradiction, stands_alone
+from vppres.service.telemetry.grid_readings import LIMIT, contradiction, stands_alone
 from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers, undimmed_customers
 from vppres.service.telemetry.phased_readings import stored, with_sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
@@ -554,6 +554,8 @@ def _grid(
     elif controller.out_probability(window.times[0]).iloc[0] >= HALF:
         known_by = "belief"
         out[0] = True
+    if read == 1.0 and limits[0] <= 0.0:
+        known_by = LIMIT
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
 

@@ -23,7 +23,7 @@ from vppres.service.of_kind import Reckoned, every
 from vppres.service.storage.records import Reading, moment
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
-from vppres.service.telemetry.grid_readings import CONTRADICTED, GRID_ON
+from vppres.service.telemetry.grid_readings import CONTRADICTED, GRID_ON, LIMIT
 from vppres.service.telemetry.knowledge import CLOSED, INSTANT
 
 KIND_OF = {name: kind for kind in every().values() for name in (*kind.states, *kind.of_visits)}
@@ -188,6 +188,7 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
         elif grid and one.quantity == GRID_ON and one.known:
             change = "grid back" if one.value else GRID_LOST
             differs = (one.value == 1.0) != grid["available"]
+            differs = differs and not (one.value == 1.0 and grid["known_by"] == LIMIT)
             doubt = CONTRADICTED.format(one.source)
             doubted = any(doubt in said for said in plan.get("estimated", ()))
             differs = differs and not (doubted and fed())
