@@ -49,7 +49,7 @@ def undimmed_customers(
 
 
 def _disconnected(ids: Names, online: Mapping[str, Reading]) -> dict[str, str]:
-    """Those of some names that were reported as not connected, with the reason."""
+    """Devices of these names that were reported as not connected, with the reason."""
     names = {str(name) for name in ids}
     off = (name for name, one in online.items() if name in names and one.value == 0.0)
     return dict.fromkeys(off, DISCONNECTED)
