@@ -578,7 +578,7 @@ CAUSES = {
     ),
     "PV below its limit": (
         (*BASE, "new pvsystem.p bus1=b kv=5 kva=90 pmpp=80 vminpu=.95", *TAIL.split("\n")),
-        "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes",
+        "generation and batteries outside their vminpu and vmaxpu in the source's solution",
     ),
 }
 

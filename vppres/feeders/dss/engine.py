@@ -441,54 +441,49 @@ def _causes(circuit: Circuit) -> Iterator[list[Any]]:
 
 def _beyond(circuit: Circuit) -> Iterator[list[Any]]:
     """Causes of differences that the solution has, with the power that they affect in kW."""
-    yield from _loads_beyond(circuit)
-    yield from _others_beyond(circuit)
+    where = "outside their vminpu and vmaxpu in the source's solution"
+    if found := _outside(circuit, ("load",)):
+        kw = sum(number(element, "kw") for element in found)
+        drawn_kw = sum(drawn for _, drawn in found.values())
+        yield [
+            kw,
+            f"loads {where}, where OpenDSS gives them a constant impedance, so that they draw "
+            f"{drawn_kw:.4g} kW instead of {kw:.4g} kW: {_at_voltage(found)}",
+        ]
+    if found := _outside(circuit, POWERS[1:]):
+        kw = sum(abs(drawn) for _, drawn in found.values())
+        yield [
+            kw,
+            f"generation and batteries {where}, where OpenDSS gives them a constant impedance: "
+            f"{_at_voltage(found)}",
+        ]
     yield from _unlike_legs(circuit)
 
 
-def _loads_beyond(circuit: Circuit) -> Iterator[list[Any]]:
-    """Loads whose voltage in the solution is one at which OpenDSS takes another model for them.
+def _outside(circuit: Circuit, kinds: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Lowest voltage in pu, and power in kW, of what OpenDSS makes an impedance at its voltage.
 
     An impedance stays one.
     """
-    found: dict[str, tuple[float, float]] = {}
-    for name in circuit.of("load"):
-        dss.Loads.Name(name)
-        if dss.Loads.Model() == CONSTANT_IMPEDANCE or dss.Solution.LoadModel() == ADMITTANCE:
-            continue
-        n, delta = dss.CktElement.NumPhases(), bool(dss.Loads.IsDelta())
-        kv = float(dss.Loads.kV()) / (1.0 if delta or n == 1 else np.sqrt(3))
-        pu = [v / (kv * V_PER_KV) for v in coil_volts(delta)]
-        if min(pu) < dss.Loads.Vminpu() or max(pu) > dss.Loads.Vmaxpu():
-            found[f"load.{name} ({min(pu):.3f} pu)"] = dss.Loads.kW(), power_drawn().real
-    if found:
-        kw, drawn_kw = map(sum, zip(*found.values(), strict=True))
-        yield [
-            kw,
-            "loads outside their vminpu and vmaxpu in the source's solution, where OpenDSS gives "
-            f"them a constant impedance, so that they draw {drawn_kw:.4g} kW instead of "
-            f"{kw:.4g} kW: {_first(found)}",
-        ]
-
-
-def _others_beyond(circuit: Circuit) -> Iterator[list[Any]]:
-    """Generation and batteries whose voltage is one at which OpenDSS makes impedances of them."""
-    found: dict[str, float] = {}
-    for kind in POWERS[1:]:
+    found = {}
+    for kind in kinds:
         for name in circuit.of(kind):
             element = f"{kind}.{name}"
+            of_all = kind == "load" and dss.Solution.LoadModel() == ADMITTANCE
+            if of_all or number(element, "model") == CONSTANT_IMPEDANCE:
+                continue
             delta = text_of(element, "conn").lower() in ("delta", "ll")
             kv, least, most = (number(element, each) for each in ("kv", "vminpu", "vmaxpu"))
             kv /= 1.0 if delta or dss.CktElement.NumPhases() == 1 else np.sqrt(3)
             pu = [v / (kv * V_PER_KV) for v in coil_volts(delta)]
             if min(pu) < least or max(pu) > most:
-                found[f"{element} ({min(pu):.3f} pu)"] = abs(power_drawn().real)
-    if found:
-        yield [
-            sum(found.values()),
-            "generation and batteries outside their vminpu and vmaxpu, of which OpenDSS makes "
-            f"impedances: {_first(found)}",
-        ]
+                found[element] = min(pu), power_drawn().real
+    return found
+
+
+def _at_voltage(found: dict[str, tuple[float, float]]) -> str:
+    """The first of some elements with their voltages."""
+    return _first(f"{element} ({pu:.3f} pu)" for element, (pu, _) in found.items())
 
 
 def _unlike_legs(circuit: Circuit) -> Iterator[list[Any]]:
