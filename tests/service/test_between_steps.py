@@ -221,6 +221,20 @@ def test_a_grid_that_may_not_be_drawn_from_is_no_news_with_each_reading(live: Ru
     assert runner.changes.reasons == ()
 
 
+def test_a_battery_that_is_not_connected_stays_out_and_raises_an_alarm(live: Running) -> None:
+    """It said so once, and how full it is since; only that it is back counts."""
+    http, clock, runner = live
+    http.post("/v1/telemetry", {"series": readings(LATER, "online", {"big": 0.0}, lasts="PT1M")})
+    plan = decided(http, clock, NOON + pd.Timedelta("3h"))
+    assert "battery big is out" in plan["estimated"]
+    words = "big did not follow its set-point: reported as not connected."
+    assert words in [one["text"] for one in http.get("/v1/alarms").json()["alarms"]]
+    http.post("/v1/telemetry", {"series": readings(clock.now(), "online", {"big": 1.0})})
+    clock.set(clock.now() + pd.Timedelta("1min"))
+    again = runner.anew()
+    assert again is not None and "battery big is out" not in again["estimated"]
+
+
 def test_of_two_prices_the_one_that_was_written_later_counts(live: Running) -> None:
     """Whatever their names are."""
     http, clock, runner = live

@@ -418,8 +418,8 @@ SEQUENCES: dict[str, list[Row]] = {
     ] for how in ("stuck", "said once")},
     # Readings.
     "a forecast has the range of a reading": [
-        *(("12:00", "PUT forecasts/load_kw", {**AT_NOON, "assets": {"shop": {"p50": [share * MOST_KW]}}}, status, {})
-            for share, status in ((1.0, 200), (2.0, 422))),
+        *(("12:00", "PUT forecasts/load_kw", {**AT_NOON, "assets": {"shop": {"p50": [kw]}}}, status, {})
+            for kw, status in ((200.0, 200), (MOST_KW, 422), (2.0 * MOST_KW, 422))),
         ("12:00", "decide", 0.5, 200, {"status": ("ok", "fallback").__contains__}),
         ("12:00", "PUT forecasts/pv_kw", {**AT_NOON, "assets": {"roof": {"p50": [20.0], "p90": [2e4]}}}, 422, {
             "detail": "forecast, pv_kw of roof = 20000.0: is beyond the system's rating of 30 kW. Give the power in kW."}),
