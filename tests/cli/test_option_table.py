@@ -195,3 +195,15 @@ def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPat
         "title": "Headroom",
         "type": "number",
     }
+
+
+@pytest.mark.parametrize(("options", "given", "words"), [
+    (RunOptions, {"guard": "no"}, "guard = no: is neither true nor false. Give True or False."),
+    (RunOptions, {"seed": 1.5}, "seed = 1.5: is not a whole number. Give one."),
+    (SwitchingRules, {"stay_restored": "yes"},
+        "switching.stay_restored = yes: is neither true nor false. Give True or False."),
+])  # fmt: skip
+def test_a_value_of_another_kind_is_refused(
+    options: Any, given: dict[str, Any], words: str
+) -> None:
+    assert refusal(options, **given) == f"options, {words}"

@@ -203,9 +203,13 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
         "Give a step that divides the day, for example 60, 30 or 15."),
     ({"step_minutes": 0.0}, "options, step_minutes = 0.0: must be at least 1 and divide a day. "
         "Give a step that divides the day, for example 60, 30 or 15."),
+    ({"step_minutes": "60"}, "options, step_minutes = 60: is not a number. Give one."),
+    ({"pv": "all"}, "options, pv = all: is not known. Use one of: existing, sized, none."),
+    ({"add_batteries": "no"},
+        "options, add_batteries = no: is neither true nor false. Give True or False."),
     ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
     ({"draw_tiers": True, "tier_shares": (0.5, 0.5, 0.5)},
-        "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
+        "options, tier_shares = (0.5, 0.5, 0.5): must be three shares that add up to 1. Give critical, high "
         "and low, for example 0.2 0.3 0.5."),
     ({"pv": "sized", "pv_share_of_peak": 0.0},
         "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "

@@ -134,6 +134,22 @@ class Option:
             yield Problem(
                 "options", self.range.message, self.range.cure, field=self.field, value=value
             )
+        elif self.kind is bool and value not in (True, False):
+            message = "is neither true nor false"
+            yield Problem("options", message, "Give True or False.", field=self.field, value=value)
+        elif self.kind is float and (value is None or isinstance(value, bool | str)):
+            yield Problem("options", "is not a number", "Give one.", field=self.field, value=value)
+        elif self.kind is int and not _is_whole(value):
+            message = "is not a whole number"
+            yield Problem("options", message, "Give one.", field=self.field, value=value)
+
+
+def _is_whole(value: Any) -> bool:
+    """Whether a value is a whole number."""
+    try:
+        return bool(int(value) == value)
+    except (TypeError, ValueError, OverflowError):
+        return False
 
 
 def _default(kind: type, cell: str) -> Value | None:

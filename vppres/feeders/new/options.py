@@ -238,7 +238,10 @@ def _dated(text: str, zone: str | None = None) -> pd.Timestamp:
 
 
 def check_options(options: NewScenarioOptions) -> list[Problem]:
-    """Options out of their range, and sizes of what was not asked for."""
+    """Options of another kind, out of their range, and sizes of what was not asked for."""
+    wrong_kind = [p for one in NEW_OPTIONS for p in one.problems(getattr(options, one.field))]
+    if wrong_kind:
+        return wrong_kind
     shares = options.tier_shares or TIER_SHARES
     minutes = options.step_minutes
     problems = [
@@ -252,8 +255,12 @@ def check_options(options: NewScenarioOptions) -> list[Problem]:
     if not options.export_limit_kw >= 0:  # infinite without limit
         message, cure = "must be at least 0", "Give kW; 0 imports only."
         problems.append(_fault("export_limit_kw", options.export_limit_kw, message, cure))
-    if min(shares) < 0 or not isclose(sum(shares), 1.0, abs_tol=1e-9):
-        message = "must be shares that add up to 1"
+    if (
+        len(shares) != len(TIER_SHARES)
+        or min(shares) < 0
+        or not isclose(sum(shares), 1.0, abs_tol=1e-9)
+    ):
+        message = "must be three shares that add up to 1"
         cure = "Give critical, high and low, for example 0.2 0.3 0.5."
         problems.append(_fault("tier_shares", shares, message, cure))
     problems += [*_sizes_of_nothing(options), *check_zone(options.zone)]
