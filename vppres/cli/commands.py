@@ -423,9 +423,9 @@ def survival(
     options = run_options(site, context.obj)
     tried = Tried(lengths_of(lengths, site.grid.dt_h), onsets, charged, options.seed)
     variants = variants_of(site, options, scale)
+    with progress_bar("onsets", quiet) as bar:
+        study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
     with kept_in(out):
-        with progress_bar("onsets", quiet) as bar:
-            study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
         record = {"folder": str(out), **write_survival(study, out)}
     _show(
         record if as_json else None,

@@ -334,8 +334,9 @@ def survival(
     SolveError
         If an outage has no answer, or its process died.
     """
-    begin(folder)
-    return _tried(variants, tried, folder, where, progress)
+    with kept_in(folder):
+        begin(folder)
+        return _tried(variants, tried, folder, where, progress)
 
 
 @contextmanager
