@@ -78,6 +78,7 @@ def test_what_nothing_takes_is_told(limit_kw: float, method: str) -> None:
     ]
 
 
+@pytest.mark.daily
 def test_a_folder_whose_connection_takes_less_than_is_generated_is_planned(
     tmp_path: Path,
 ) -> None:

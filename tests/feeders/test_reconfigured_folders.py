@@ -69,7 +69,8 @@ def published(tmp_path: Path, name: str, **options: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("name", "options", "count", "before_kw", "after_kw", "v_min_pu"), [
-    ("case16", {"slack": "all"}, 190, 511.436, 466.127, 0.97158),  # three sources
+    # Three sources.
+    pytest.param("case16", {"slack": "all"}, 190, 511.436, 466.127, 0.97158, marks=pytest.mark.daily),
     pytest.param("case33bw", {}, 50_751, 202.677, 139.551, 0.93782, marks=pytest.mark.daily),
     # Four configurations are equal: losses are compared, never the sets.
     pytest.param("case69", {}, 407_924, 224.992, 98.605, 0.94947, marks=pytest.mark.nightly),

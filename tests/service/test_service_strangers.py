@@ -57,6 +57,7 @@ def test_connections_that_ask_for_nothing_lock_nobody_out(own: Started, many: in
             assert asked.ask("GET", "/v1/plan").status == 200
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("body", [b" " * 9_000_000, b"[" * 2_000_000])
 def test_who_sends_too_much_is_told(own: Started, body: bytes) -> None:
     """By a client that sends all of it before it looks for an answer."""
