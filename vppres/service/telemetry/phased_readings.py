@@ -77,6 +77,8 @@ def with_sums(
             found.setdefault(key, {})[phase] = one
         else:
             kept.append(one)
+    added: list[Reading] = []
+    totals: dict[tuple[str, str, str, int], Reading] = {}
     for (asset, quantity, source, time, long), phases in found.items():
         lacking = [p for p in phases_of(scenario, quantity, asset) if p not in phases]
         if lacking:
@@ -86,26 +88,23 @@ def with_sums(
             refused.append(Refusal(source, asset, quantity, wrong))
             continue
         total = Reading(asset, quantity, time, source, long, sum(p.value for p in phases.values()))
-        refused += [_other_than(total, one) for one in kept if _contradicts(one, total)]
-        kept = [one for one in kept if not _same(one, total)]
-        kept += [*phases.values(), total]
-    return kept, refused
+        totals[_place(total)] = total
+        added += [*phases.values(), total]
+    for one in kept:
+        sum_kw = totals.get(_place(one), one).value
+        # By more than meters are off by it is another power.
+        if abs(one.value - sum_kw) > tolerance_kw(abs(sum_kw)):
+            refused.append(_other_than(sum_kw, one))
+    return [*(one for one in kept if _place(one) not in totals), *added], refused
 
 
-def _same(one: Reading, total: Reading) -> bool:
-    """Whether a reading is of all phases of which there is a sum."""
-    key = one.asset, one.quantity, one.source, one.time
-    return key == (total.asset, total.quantity, total.source, total.time)
+def _place(one: Reading) -> tuple[str, str, str, int]:
+    """Place of a reading in the store, which holds one value there."""
+    return one.asset, one.quantity, one.source, one.time
 
 
-def _contradicts(one: Reading, total: Reading) -> bool:
-    """Whether it is another power than the sum, by more than meters are off by."""
-    off_kw = abs(one.value - total.value)
-    return _same(one, total) and off_kw > tolerance_kw(abs(total.value))
-
-
-def _other_than(total: Reading, one: Reading) -> Refusal:
-    message = f"is not the sum of its phases, {total.value:g} kW"
+def _other_than(sum_kw: float, one: Reading) -> Refusal:
+    message = f"is not the sum of its phases, {sum_kw:g} kW"
     cure = "Send the phases alone, or the sum alone."
     wrong = Problem(WHERE, message, cure, None, f"{one.quantity} of {one.asset}", one.value)
     return Refusal(one.source, one.asset, one.quantity, wrong)
