@@ -132,7 +132,7 @@ def test_a_step_that_cannot_be_kept_is_not_decided(
         def full(*_: Any, **__: Any) -> None:
             raise sa.exc.OperationalError("insert", {}, Exception("database or disk is full"))
 
-        broken.setattr("vppres.service.storage.store.put", full)
+        broken.setattr("vppres.service.storage.steps.put", full)
         clock.set(later)
         answer = http.post("/v1/steps")
         assert answer.status == 503 and "disk is full" in answer.json()["detail"]

@@ -41,8 +41,8 @@ from vppres.service.events.announced import (
 )
 from vppres.service.of_kind import Stored, Wrong, beyond_rating, every
 from vppres.service.payloads import OperatorSetpoint, Readings
+from vppres.service.storage.followed import REFUSED
 from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
-from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.grid_readings import LIMIT, contradiction, stands_alone
 from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers, undimmed_customers
