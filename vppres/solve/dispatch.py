@@ -28,7 +28,6 @@ from vppres.solve.certificate import (
     cost_gap_gbp,
 )
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
-from vppres.solve.direct import solve_by_highs
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.limits import run_within_limits
@@ -39,7 +38,7 @@ from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, with_more_room
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import run, run_conic
+from vppres.solve.solvers import NO_ANSWER, run, run_conic, solve_by_highs
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
 
@@ -59,10 +58,6 @@ to have an inside at all."""
 SERVICE_HELD_REL = 1e-7
 """The same of what weighs as much as service: curtailment, and the page's own term. As much again
 is what interior points may miss it by."""
-
-
-NO_TIME = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
-"""End of a solve that there is no time for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +320,7 @@ class CostLevel:
         """
         task, data = self.task, self.data
         if self.deadline.passed:
-            return Attempt(NO_TIME, None)
+            return Attempt(NO_ANSWER, None)
         conic = form.network and form.exclusivity == "relaxed"
         if conic and sheet_of(task.cache, data).own_whole:
             conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
@@ -411,7 +406,7 @@ def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Ca
     """
     site, deadline, dispatch = task.site, task.answer_by(), found.dispatch
     if deadline.passed:
-        task.certificate.note("tie_breakers", NO_TIME)
+        task.certificate.note("tie_breakers", NO_ANSWER)
         return None
     # More is curtailed at most by what is worth a share of the window's gap.
     worth = site.weights.lambda_curt

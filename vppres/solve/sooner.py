@@ -17,14 +17,12 @@ from vppres.model.site import Site
 from vppres.model.terms import Terms
 from vppres.solve.compiled import Numbers
 from vppres.solve.deadline import Deadline
-from vppres.solve.direct import solve_by_highs
 from vppres.solve.dispatch import HELD_ABS, HELD_REL, SERVICE_HELD_REL
 from vppres.solve.fleet.all_terms import not_bounded
 from vppres.solve.fleet.masters import fleets_of, set_of
 from vppres.solve.fleet.relaxation import Fleet, FleetProblem, fleet_of
 from vppres.solve.programs import NODES, search_options
-from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import compiled_in_time
+from vppres.solve.solvers import NO_ANSWER, compiled_in_time, solve_by_highs
 from vppres.solve.task import WindowTask
 
 STAYS = 0.5
@@ -107,7 +105,7 @@ def sooner(task: WindowTask, served: Flags, terms: Terms, deadline: Deadline) ->
         fleet = fleet_of(task.cache, task.data, lumped)
         problem = task.cache.problem(Sooner, fleet=fleet)
         problem.write_equals(task.data, served, terms)
-        outcome = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+        outcome = NO_ANSWER
         if compiled_in_time(problem, deadline):
             more = {**search_options(task.site, task.data), "mip_max_nodes": NODES}
             outcome = solve_by_highs(problem, deadline, more=more, first=served)
