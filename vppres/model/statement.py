@@ -7,7 +7,6 @@ selection of them; see :mod:`vppres.solve.selection`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cached_property
 
 import cvxpy as cp
@@ -79,10 +78,10 @@ class Statement:
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
         self.n_steps = n_steps
-        v = Variables.create(site, n_steps)
+        v = Variables(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
         self._own_parts = [each for each in self.additions if type(each) not in PROVEN]
-        p = self._with_additions(v, Parameters.create(site, n_steps))
+        p = self._with_additions(v, Parameters(site, n_steps))
         self.v = v
         self.p = p
         paper = problem.paper_constraints(site, v, p)
@@ -121,16 +120,14 @@ class Statement:
 
     def _with_additions(self, v: Variables, p: Parameters) -> Parameters:
         """The parameters with what additions set of them; what is added is summed."""
-        values: dict[str, cp.Expression] = {}
         for addition in self.additions:
             for name, value in (*addition.parameters(self.site).items(), *self._at_buses(addition)):
-                both = name.endswith("_added") and name in values
-                values[name] = values[name] + value if both else value
-        p = replace(p, **values)
-        if not self.site.phases:
-            return p
-        taken = [addition.taken(self.site) for addition in self.additions]
-        return replace(p, by_asset=drawn_by_assets(self.site, v, p, taken))
+                before = getattr(p, name) if name.endswith("_added") else None
+                setattr(p, name, value if before is None else before + value)
+        if self.site.phases:
+            taken = [addition.taken(self.site) for addition in self.additions]
+            p.by_asset = drawn_by_assets(self.site, v, p, taken)
+        return p
 
     def _at_buses(self, addition: Addition) -> Iterator[tuple[str, cp.Expression]]:
         """Power that an addition takes at the buses."""

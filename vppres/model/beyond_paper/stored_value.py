@@ -8,8 +8,6 @@ off the cost. Without a value no problem has any of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -39,41 +37,31 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
     return held_kwh
 
 
-@dataclass(frozen=True, eq=False)
 class ValueAtEnd(Addition):
-    """Variables and parameters of the value of what is stored at the end of a window."""
+    """Value of the energy of all batteries and tanks at the end, in weighted customer hours.
 
-    #: Energy of all batteries and tanks in kWh; a variable, since limits with parameters stand
-    #: beside it.
-    stored: cp.Variable
-    kept: cp.Variable  #: what it is worth, in weighted customer hours
-    #: The lines, (K,).
-    slope: cp.Parameter
-    offset: cp.Parameter
-    gbp: cp.Parameter  #: what it takes off the cost for each weighted customer hour
-    share: cp.Parameter  #: 1 where it counts as service, otherwise 0
+    ``slope`` and ``offset`` are its lines. ``gbp`` is what it takes off the cost for each weighted
+    customer hour, ``share`` is 1 where it counts as service and otherwise 0.
+    """
 
     # What is left stays worth as much as in a dispatch, and has no part in the cost then.
-    by_dispatch: ClassVar[tuple[str, ...]] = ("kept",)
-    in_range: ClassVar[tuple[str, ...]] = ("E_stored",)
-    met: ClassVar[tuple[str, ...]] = ("value_at_end",)
+    by_dispatch = ("kept",)
+    in_range = ("E_stored",)
+    met = ("value_at_end",)
+
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        # A variable, since limits with parameters stand beside it.
+        self.stored = cp.Variable(name="E_stored")
+        self.kept = cp.Variable(name="kept")
+        self.slope = cp.Parameter(PIECES, name="kept_slope")
+        self.offset = cp.Parameter(PIECES, name="kept_offset")
+        self.gbp = cp.Parameter(name="kept_gbp", nonneg=True)
+        self.share = cp.Parameter(name="kept_share", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there is a value."""
         return data.ending == "value" or None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """A value of any window."""
-        return cls(
-            cp.Variable(name="E_stored"),
-            cp.Variable(name="kept"),
-            cp.Parameter(PIECES, name="kept_slope"),
-            cp.Parameter(PIECES, name="kept_offset"),
-            cp.Parameter(name="kept_gbp", nonneg=True),
-            cp.Parameter(name="kept_share", nonneg=True),
-        )
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """The energy at the end of the window, and what it is worth."""
