@@ -103,7 +103,7 @@ class Statement:
         self.terms = self._terms()
         self.changed = changed_families(paper, site, v, p)
         self.own = self._own_names(paper)
-        named = self.families | self.implied
+        self._named = named = self.families | self.implied
         for name, constraint in named.items():
             if not constraint.is_dcp(dpp=True):
                 raise ModelError(
@@ -192,17 +192,34 @@ class Statement:
     @property
     def own_letters(self) -> frozenset[str]:
         """Letters that your own families and term use."""
-        parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
-        return frozenset(x.name() for part in parts for x in part.variables())
+        of_term = {x.name() for x in self.terms["own"].variables()} if "own" in self.own else ()
+        families = (self.letters_of(name) for name in self.own if name != "own")
+        return frozenset().union(of_term, *families)
 
     @property
-    def own_is_apart(self) -> bool:
-        """Whether your own families have letters of their own alone, and there is no term.
+    def differs(self) -> tuple[str, ...]:
+        """How the page differs from the paper's: families by name, ``own`` for a term of F."""
+        return self.own + self.changed
 
-        Balances join them to the paper's.
+    @property
+    def minds_network(self) -> bool:
+        """Whether what differs needs the network, or what follows from the paper may not hold."""
+        return bool(self.changed or self.own_letters & self.network_letters)
+
+    @property
+    def minds_service(self) -> bool:
+        """Whether what differs from the paper may ask for other service or import than it.
+
+        Not where your own families have letters of their own alone, which balances join to the
+        paper's, and there is no term.
         """
         paper = {x.name() for x in vars(self.v).values() if isinstance(x, cp.Variable)}
-        return not (self.changed or "own" in self.terms or self.own_letters & paper)
+        joined = self.changed or "own" in self.terms or self.own_letters & paper
+        return bool(self.differs and joined)
+
+    def letters_of(self, family: str) -> frozenset[str]:
+        """Letters that a family uses."""
+        return frozenset(x.name() for x in self._named[family].variables())
 
     def named(self, kind: str) -> tuple[str, ...]:
         """Letters or families that additions name as of a kind, of those that there are."""

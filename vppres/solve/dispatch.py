@@ -147,7 +147,7 @@ def _ways(
         found = _with_turns(task, before)
         yield found and carried(task, found, tie_breakers)
         return
-    elif fleet and not task.own_in_network:
+    elif fleet and not task.sheet.statement.minds_network:
         found = cheapest(task, served, modes_later=before is not None)
         if before is not None and task.certificate.wasteful:
             found = _with_turns(task, before) or cheapest(task, served)
@@ -165,9 +165,8 @@ def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
     """
     if before is None or len(task.site.batteries) == 0 or task.data.both_ways_earn:
         return None
-    sheet = sheet_of(task.cache, task.data)
-    known = sheet.statement.held(task.data, before).values
-    switched = {name: np.asarray(known[name]) for name in sheet.own_whole if name in known}
+    known = task.sheet.statement.held(task.data, before).values
+    switched = {name: np.asarray(known[name]) for name in task.sheet.own_whole if name in known}
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
     return cheapest(task, before.served, modes=turns | switched)
 
@@ -199,7 +198,9 @@ def cheapest_by_rows(
     if not fits:  # batteries must take turns
         return outcome, None
     found = Candidate.of(site, data, dispatch, 0.0, in_network=False)
-    return outcome, carried(task, found, *ways_of_rows(task))
+    # The tie-breakers of a large window take long.
+    plain = task.is_large and not task.by_phase
+    return outcome, carried(task, found, *((least_reactive_power,) if plain else ()))
 
 
 def cheapest(
@@ -374,16 +375,10 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
         if carriage is None:
             continue
         # The check knows the paper's families, and none that the page changes.
-        if task.changed or not broken(task.site, found.data, carriage[0]):
+        if task.sheet.statement.changed or not broken(task.site, found.data, carriage[0]):
             return found.carried_by(task.site, *carriage)
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
     return None
-
-
-def ways_of_rows(task: WindowTask) -> tuple[Carrier, ...]:
-    """Ways of a candidate whose limits were rows: the tie-breakers of a large window take long."""
-    plain = task.is_large and not task.by_phase
-    return (least_reactive_power,) if plain else ()
 
 
 def settle(task: WindowTask) -> None:

@@ -74,8 +74,10 @@ def is_settled(site: Site, data: WindowData, served: Flags) -> bool:
     if not data.asks_for_sooner or served[limited].all():
         return True
     before = data.on_before
-    if before is not None and limited[0] and _swaps(before, served[0]):
-        return False
+    if before is not None and limited[0]:
+        now = served[0]
+        if (before & ~now).any() and (now & ~before).any():  # some go off, and others on
+            return False
     if site.batteries.idle:
         return True
     weight = site.customers.weight
@@ -87,11 +89,6 @@ def _put_off(served: Flags) -> bool:
     """Whether a step leaves out some, and a later one serves any."""
     lacking = ~served.all(axis=1)
     return bool(lacking.any() and served[np.argmax(lacking) + 1 :].any())
-
-
-def _swaps(before: Flags, served: Flags) -> bool:
-    """Whether a step switches some off and others on."""
-    return bool((before & ~served).any() and (served & ~before).any())
 
 
 def sooner(task: WindowTask, served: Flags, terms: Terms, deadline: Deadline) -> Iterator[Flags]:

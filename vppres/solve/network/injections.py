@@ -61,8 +61,7 @@ def select_devices(sheet: Sheet) -> Selection:
     of_devices = [
         name
         for name in in_order(sheet)
-        if name not in elsewhere
-        and not LINES & {x.name() for x in statement.families[name].variables()}
+        if name not in elsewhere and not LINES & statement.letters_of(name)
     ]
     found = Selection(sheet).relax("x_served", 0.0, 1.0).hold("P_flow", "Q_flow")
     found = found.relaxed_to_shares(statement.named("directions"))
