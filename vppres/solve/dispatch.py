@@ -163,7 +163,10 @@ def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
-    if before is None or len(task.site.batteries) == 0 or task.data.both_ways_earn:
+    data = task.data
+    prices = data.price_gbp_per_kwh, data.grid_limit_kw
+    both_ways = data.export and data.export.earns_both_ways(*prices)
+    if before is None or len(task.site.batteries) == 0 or both_ways:
         return None
     known = task.sheet.statement.held(task.data, before).values
     switched = {name: np.asarray(known[name]) for name in task.sheet.own_whole if name in known}
@@ -287,7 +290,7 @@ class CostLevel:
             return attempt
         netted, fits = net_modes(site, self.data, attempt.dispatch)
         export = self.data.export
-        stands = export is None or export.stands_netted(
+        stands = not export or export.stands_netted(
             self.data.price_gbp_per_kwh, netted, attempt.both_kw, site.dt_h
         )
         if fits and stands:

@@ -185,7 +185,7 @@ class WindowSolver:
         and stays if it breaks none of the tighter limits. With rows of phases a schedule gets them
         only here, and the last part of the time is theirs.
         """
-        settles = data.phased is not None and not self._differs(data)
+        settles = bool(data.phased) and not self._differs(data)
         limits = self.limits.at_most(deadline.left_s)
         found = self._decided(data, limits.within(1.0 - NETWORK_RESERVE) if settles else limits)
         found = self._sooner(data, found, deadline)

@@ -71,7 +71,8 @@ def is_settled(site: Site, data: WindowData, served: Flags) -> bool:
     by none of that weight in another such step.
     """
     limited = np.isfinite(data.grid_limit_kw)
-    if not data.asks_for_sooner or served[limited].all():
+    silent = data.physical or data.open_ended  # the paper is, on which of equal plans is taken
+    if not silent or served[limited].all():
         return True
     before = data.on_before
     if before is not None and limited[0]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags
+from vppres.model.beyond_paper.stored_value import kept_range
 from vppres.model.data import WindowData
 from vppres.model.ratings import has_ratings
 from vppres.model.site import Site
@@ -79,7 +80,7 @@ class WindowTask:
     @property
     def by_phase(self) -> bool:
         """Whether dispatches in the network come from rows of phases."""
-        return self.data.phased is not None and not self.own
+        return bool(self.data.phased) and not self.own
 
     @property
     def by_rows(self) -> bool:
@@ -93,7 +94,7 @@ class WindowTask:
     def everyone(self) -> float:
         """Service of all customers, in weighted customer hours, and the most of later."""
         now = float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
-        return now + self.data.kept_range(self.site)[1] if self.data.keeps_service else now
+        return now + kept_range(self.site, self.data)[1] if self.data.keeps_service else now
 
     @property
     def gap(self) -> float:

@@ -61,7 +61,7 @@ class BeyondLimit(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Its weight; it earns nothing."""
         beyond_kw = beyond_limit_kw(site, data, dispatch)
-        paid = data.price_gbp_per_kwh if data.export is None else data.export.price_gbp_per_kwh
+        paid = data.price_gbp_per_kwh if not data.export else data.export.price_gbp_per_kwh
         return {
             "f2": float(paid @ beyond_kw) * site.dt_h,
             "f3": WEIGHT * float(beyond_kw.sum()) * site.dt_h,

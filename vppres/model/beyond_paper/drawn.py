@@ -30,7 +30,7 @@ class DrawnByNetwork(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether it draws anything, and whether it gives power in a step."""
-        return None if data.drawn is None else bool(data.network_gives_kw.any())
+        return None if not data.drawn else bool(data.network_gives_kw.any())
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """A demand at the buses, and power from which batteries may charge."""
@@ -39,7 +39,6 @@ class DrawnByNetwork(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        assert data.drawn is not None
         write(self.P_drawn, data.drawn.kw)
         write(self.Q_drawn, data.drawn.kvar)
         write(self.P_given, data.network_gives_kw)

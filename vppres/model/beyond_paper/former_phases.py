@@ -50,7 +50,7 @@ class FormerPhases(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Supplies of parts in the window, None if nothing can form a step without grid."""
-        if data.phased is None:
+        if not data.phased:
             return None
         model = phased_model(site)
         if not (model.formers and model.formed(data).any()):
@@ -59,7 +59,7 @@ class FormerPhases(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        phased = data.require_phased()
+        phased = data.phased
         ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva])
         model = phased_model(site)
         sources = model.sources(data)

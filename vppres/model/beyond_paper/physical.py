@@ -15,6 +15,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
+from vppres.core.errors import ModelError
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
@@ -59,7 +60,9 @@ class PhysicalMode(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        physics = data.require_physics()
+        physics = data.physics
+        if not physics:
+            raise ModelError("A physical problem was filled with a window of the paper's mode.")
         net = site.network
         island = physics.reference > 0
         write(self.P_loss, at_far_ends(physics.loss_kw))
@@ -121,12 +124,10 @@ def taken_by_network(site: Site, data: WindowData) -> Drawn:
     """Power that the network takes at each bus: its own draw, and losses where lines end."""
     nothing = np.zeros((data.n_steps, site.network.n_buses))
     found = data.drawn or Drawn(nothing, nothing)
-    physics = data.physics
-    if physics is None:
+    if not data.physics:
         return found
-    return Drawn(
-        found.kw + at_far_ends(physics.loss_kw), found.kvar + at_far_ends(physics.loss_kvar)
-    )
+    lost = (at_far_ends(each) for each in (data.physics.loss_kw, data.physics.loss_kvar))
+    return Drawn(*(own + more for own, more in zip((found.kw, found.kvar), lost, strict=True)))
 
 
 def at_far_ends(loss: Floats) -> Floats:

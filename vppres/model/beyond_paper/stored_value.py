@@ -37,6 +37,22 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
     return held_kwh
 
 
+def kept_range(site: Site, data: WindowData) -> tuple[float, float]:
+    """Least and most that the energy at the end can be worth, in weighted customer hours."""
+    value, b = data.stored_value, site.batteries
+    if value is None:
+        return 0.0, 0.0
+    charged_kw = float(data.eta_charge @ b.active_max_kw)
+    drawn_kw = float((b.active_max_kw / data.eta_discharge).sum())
+    held_kwh = float(b.energy_kwh @ data.soc)
+    hours = data.n_steps * site.dt_h
+    most_kwh = min(held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh))
+    least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
+    for kind, kwh_each in value.kwh_each.items():
+        most_kwh += data.ahead.by_kind[kind].most_left_kwh(kwh_each)
+    return value.between(least_kwh, most_kwh)
+
+
 class ValueAtEnd(Addition):
     """Value of the energy of all batteries and tanks at the end, in weighted customer hours.
 
@@ -80,7 +96,7 @@ class ValueAtEnd(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Value of the energy at the end: off the cost, and the later service that it buys."""
-        value = data.require_value()
+        value = data.stored_value or StoredValue.nothing()
         kept = value.at(left_kwh(site, value, data.ahead, dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
@@ -89,13 +105,13 @@ class ValueAtEnd(Addition):
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
         """Ranges of the parts of the cost, with that of the value of what can be kept."""
-        each_gbp = -data.require_value().gbp_as_cost
-        least, most = data.kept_range(site)
+        each_gbp = -(data.stored_value or StoredValue.nothing()).gbp_as_cost
+        least, most = kept_range(site, data)
         return np.append(least_gbp, each_gbp * most), np.append(dearest_gbp, each_gbp * least)
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """The energies at the end that are worth as much, and what comes off the cost for it."""
-        value = data.require_value()
+        value = data.stored_value or StoredValue.nothing()
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
         kept_kwh = left_kwh(site, value, data.ahead, dispatch)
         most_kwh = max(kept_kwh, value.most_kwh(value.at(kept_kwh)))

@@ -56,7 +56,7 @@ def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) ->
 
 def _most_sold_kw(data: WindowData) -> Floats:
     """Largest export that the grid takes back, (W,)."""
-    return np.zeros(data.n_steps) if data.export is None else data.export.limit_kw
+    return np.zeros(data.n_steps) if not data.export else data.export.limit_kw
 
 
 def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:
@@ -74,7 +74,7 @@ class StoredIsKept(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there are such limits."""
-        return data.unspent is not None or None
+        return bool(data.unspent) or None
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """No power from batteries beside curtailed PV power."""
@@ -85,6 +85,5 @@ class StoredIsKept(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the limits."""
-        assert data.unspent is not None
         write(self.given, data.unspent.discharge_kw)
         write(self.curtailed, data.unspent.curtailed_kw)

@@ -349,7 +349,7 @@ def _order(fleet: Fleet, *first: str) -> tuple[str, ...]:
 
 
 def _with_terms(found: Selection, fleet: Fleet, goal: Goal) -> Selection:
-    """What is maximised or minimised; where a window writes them, enough service and the cost."""
+    """Selection with the terms of a goal, and rows for enough service and for the cost."""
     w, unit = fleet.site.weights, fleet.grid or 1.0
     terms = {
         "weighted": (*fleet.service, ("f2", -w.lambda_grid)),

@@ -73,7 +73,7 @@ class CheapestDispatch:
             self._hold(solver, unused, 0.0)
             turned = self.network.until_carried(solver, deadline, EXACT_DISC)
             # With phases, a window without an answer in these turns may have one in others.
-            if self.data.phased is None or turned.status == Status.OPTIMAL:
+            if not self.data.phased or turned.status == Status.OPTIMAL:
                 found = turned
         return found.outcome(watch.spent_s), self._dispatch(found, served)
 
@@ -105,7 +105,7 @@ class CheapestDispatch:
         unused = []
         if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
             unused += [at("P_out")[imported >= exported], at("P_grid")[imported < exported]]
-        in_turns = self.network.is_large or self.data.phased is not None
+        in_turns = self.network.is_large or self.data.phased
         if in_turns and not self._storable(answer, served):
             if charges is None:
                 charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]

@@ -62,8 +62,7 @@ class LeastReactive(Selected):
         part = data.part(step)
         self.fill(part, dispatch.served[step])
         self.held["P_flow"] = dispatch.p_flow_kw[step]
-        physics = part.physics
-        kept_kw = 0.0 if physics is None else physics.headroom_kw
+        kept_kw = part.physics.headroom_kw if part.physics else 0.0
         net_kw = dispatch.charge_kw - dispatch.discharge_kw
         through_kw = dispatch.pv_self_kw + dispatch.pv_export_kw
         rated_kva = np.broadcast_to(limit_kva(part), (1, site.network.n_lines))
