@@ -21,9 +21,9 @@ import highspy
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 
 from vppres.solve.certificate import Certificate
-from vppres.solve.direct import solve_by_clarabel
 from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import Outcome
+from vppres.solve.solvers import solve_by_clarabel
 
 P = ParamSpec("P")
 R = TypeVar("R")

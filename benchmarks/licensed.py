@@ -6,24 +6,24 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.solve.result import Status
-from vppres.solve.solvers import SOLVERS, CvxpyResult, Interface, SolverSpec
+from vppres.solve.solvers import SOLVERS, Interface, SolverSpec
 
 
-def _gurobi_slack(answer: CvxpyResult) -> float:
-    return float(answer.stats.ObjVal - answer.stats.ObjBound)
+def _gurobi_slack(solved: cp.Problem) -> float:
+    return float(solved.solver_stats.extra_stats.ObjVal - solved.solver_stats.extra_stats.ObjBound)
 
 
-def _copt_slack(answer: CvxpyResult) -> float:
-    return float(answer.stats.objval - answer.stats.bestbnd)
+def _copt_slack(solved: cp.Problem) -> float:
+    return float(solved.solver_stats.extra_stats.objval - solved.solver_stats.extra_stats.bestbnd)
 
 
-def _no_bound(answer: CvxpyResult) -> float:
+def _no_bound(solved: cp.Problem) -> float:
     """Cvxpy hands on no bound of Xpress."""
     return np.nan
 
 
-def _ended_with_values(answer: CvxpyResult) -> Status:
-    return Status.TIME_LIMIT if answer.has_values else Status.NO_ANSWER
+def _ended_with_values(solved: cp.Problem) -> Status:
+    return Status.TIME_LIMIT if solved.variables()[0].value is not None else Status.NO_ANSWER
 
 
 LICENSED: dict[str, SolverSpec] = {

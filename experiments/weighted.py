@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 
 from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
@@ -23,7 +24,7 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import as_it_is, carried
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
-from vppres.solve.solvers import CvxpyResult, Interface, SolverSpec, run_by_cvxpy
+from vppres.solve.solvers import Interface, SolverSpec, run_by_cvxpy
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
 
@@ -62,12 +63,13 @@ def _scip(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, A
     return {"scip_params": parameters}
 
 
-def _highs_slack(answer: CvxpyResult) -> float:
-    return float(answer.stats.objective_function_value - answer.stats.mip_dual_bound)
+def _highs_slack(solved: cp.Problem) -> float:
+    stats = solved.solver_stats.extra_stats
+    return float(stats.objective_function_value - stats.mip_dual_bound)
 
 
-def _highs_ended(answer: CvxpyResult) -> Status:
-    feasible = getattr(answer.stats, "primal_solution_status", 0) == 2
+def _highs_ended(solved: cp.Problem) -> Status:
+    feasible = getattr(solved.solver_stats.extra_stats, "primal_solution_status", 0) == 2
     return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
 
 

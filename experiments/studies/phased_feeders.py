@@ -231,8 +231,8 @@ def plain_problem(
     stored = cp.multiply(charge, np.tile(data.eta_charge, (W, 1))) - cp.multiply(
         discharge, np.tile(1.0 / data.eta_discharge, (W, 1))
     )
-    physics = data.require_physics()
-    assert data.drawn is not None
+    physics = data.physics
+    assert data.drawn
     kvar = data.load_kw * customers.q_per_p
     rows = [
         through <= data.pv_kw,
@@ -278,7 +278,7 @@ def part_rows(
 ) -> list[cp.Constraint]:
     """The balance of each part behind a line that is out; nothing in those that are dead."""
     parts, at_bus = data.parts, phased_model(site).at_bus_of_assets
-    assert data.drawn is not None
+    assert data.drawn
     places = [(x, site.customer_bus), (exported, site.pv_bus)]
     places += [(each, site.battery_bus) for each in battery]
     found: list[cp.Constraint] = []
@@ -309,7 +309,7 @@ def phase_rows(
 ) -> list[cp.Constraint]:
     """Voltages of all nodes, and the former's phases, in all steps with power."""
     model = phased_model(site)
-    phased = data.require_phased()
+    phased = data.phased
     found: list[cp.Constraint] = []
     for t in np.flatnonzero(lit_steps(data)):
         source = int(model.sources(data)[t])

@@ -245,7 +245,7 @@ def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
         self: Passes, data: WindowData, solution: WindowSolution
     ) -> tuple[WindowData, WindowData, WindowSolution]:
         at, plan = self.linearisation, solution.dispatch
-        if data.phased is not None and lit_steps(data)[0]:
+        if data.phased and lit_steps(data)[0]:
             points = at.points(data, plan)
             if points.converged[0]:
                 planned = at.finished(data, plan).v_node_pu

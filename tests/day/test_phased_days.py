@@ -269,7 +269,7 @@ def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> No
         kva = run.steps[FORMER_KVA].to_numpy(float)
         for t in range(2):
             assert np.abs(recorded.former_kva(t)) == pytest.approx(kva[t], abs=1e-3)
-            window = recorded.seen(t).require_phased()
+            window = recorded.seen(t).phased
             assert np.abs(window.former_kva[0]) == pytest.approx(kva[t], abs=1e-3)
     words = explain_day(run).explanations
     assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])

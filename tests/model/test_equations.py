@@ -464,8 +464,8 @@ def test_cold_load_adds_demand_and_self_consumption(
     cold.Q_cold.value = np.array([[2.0, 4.0], [6.0, 8.0]])
     cold.P_self_cold.value = np.array([[0.5, 1.5], [2.5, 3.5]])
     P, Q = (power @ site.taking_bus["customers"].T for power in cold.taken)
-    added = replace(paper.p, P_added=P, Q_added=Q, **cold.parameters(site))
-    named = paper_constraints(site, paper.v, added)
+    vars(paper.p).update(P_added=P, Q_added=Q, **cold.parameters(site))
+    named = paper_constraints(site, paper.v, paper.p)
     # The shop's at bus 2 and its deck's, then the home's at bus 3 and its roof's.
     more = {
         "active_power_balance": [[0, 3, 0], [0, 0, 11]],

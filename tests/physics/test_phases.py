@@ -436,7 +436,7 @@ def check_price_of_a_phase(trajectory: Trajectory) -> None:
     window = recorded.seen(0)
     held = recorded.held(0, window.n_steps)
     terms = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
-    phased = window.require_phased()
+    phased = window.phased
     values = {}
     for change in (-0.01, 0.0, 0.01):
         room = phased.room_kva + change * (np.arange(window.n_steps) == 0)[:, None]
@@ -617,10 +617,10 @@ def test_few_of_the_limits_that_bind_everywhere_are_rows_from_the_start(tmp_path
     planner, model = ConvergedPlanner(WindowSolver(site)), phased_model(site)
     data = planner.begun(observation)[2]
     plan = planner.solver.solve(data).dispatch
-    phased = data.require_phased()
+    phased = data.phased
     there = phased.u_offset + model.linear(data, *model.drawn(data, plan))[0]
     data = replace(data, phased=replace(phased, u_min=there))
-    bound = near_to(site, data, plan).require_phased().bound.sum(axis=2)
+    bound = near_to(site, data, plan).phased.bound.sum(axis=2)
     assert (bound[:, 0] >= 3 * MOST_BINDING).all()
     assert (bound[:, 0] <= len(model.by_phase) * MOST_BINDING).all()
 

@@ -66,7 +66,7 @@ def first_plan(scenario: Scenario) -> Decision:
 
 def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
     """How near an answer is to a limit of the phases: in pu², or as a share of the former's."""
-    model, phased = phased_model(site), data.require_phased()
+    model, phased = phased_model(site), data.phased
     u, former = model.linear(data, *model.drawn(data, found.dispatch))
     u = (phased.u_offset + u)[lit_steps(data)][:, model.limited]
     low, high = (each[lit_steps(data)][:, model.limited] for each in (phased.u_min, phased.u_max))
@@ -187,7 +187,7 @@ def first_window(day: Scenario, headroom: float) -> tuple[ConvergedPlanner, Wind
 def test_limits_of_phases_give_way_to_no_voltage_that_a_feeder_cannot_have(tmp_path: Path) -> None:
     day = day_of(CIRCUIT, tmp_path).between(9, 10)
     usual, far = (
-        first_window(replace(day, load_kw=factor * day.load_kw), headroom=0.0)[1].require_phased()
+        first_window(replace(day, load_kw=factor * day.load_kw), headroom=0.0)[1].phased
         for factor in (1.0, 1000.0)
     )
     assert far.u_min.min() == COLLAPSED_PU2 < usual.u_min.min()
@@ -212,12 +212,12 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
     drawn = model.powers(
         model.sources(data), data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
     )
-    given_kw = (data.require_phased().former_offset + model.linear(data, *drawn)[1]).real
+    given_kw = (data.phased.former_offset + model.linear(data, *drawn)[1]).real
     slopes = np.abs(model.slopes[1].former_q.real[:, len(site.customers) :])
     kva = np.append(
         site.pv.s_max_kva, np.where(site.batteries.grid_forming, 0.0, site.batteries.s_max_kva)
     )
-    room_kw = np.cos(np.pi / 32) * data.require_phased().room_kva[0] + slopes @ kva
+    room_kw = np.cos(np.pi / 32) * data.phased.room_kva[0] + slopes @ kva
     for name, sign in (("former_phase_most", 1.0), ("former_phase_least", -1.0)):
         missed = statement.implied[name].args
         found = np.asarray(missed[0].value - missed[1].value)
@@ -235,7 +235,7 @@ def test_the_fleet_serves_no_set_that_crowds_a_phase(tmp_path: Path) -> None:
     cache = planner.solver.cache
     served = {}
     for rooms in (1.0, 100.0):
-        phased = data.require_phased()
+        phased = data.phased
         wider = replace(data, phased=replace(phased, room_kva=rooms * phased.room_kva))
         problem = fleet_problem(cache, wider, lumped=False, integer=True, goal="service")
         problem.write(wider)
@@ -251,7 +251,7 @@ def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_pa
     full = replace(day.batteries, soc_initial=day.batteries.soc_max)
     island = replace(day, batteries=full).between(13, 14)
     planner, data = first_window(island, headroom=0.0)
-    phased = data.require_phased()
+    phased = data.phased
     rating = island.batteries.s_max_kva[island.batteries.grid_forming][0] / 3.0
     assert phased.room_kva == pytest.approx(0.999 * rating)
     at, plan = planner.linearisation, planner.solver.solve(data).dispatch
@@ -267,11 +267,9 @@ def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
 ) -> None:
     (tmp_path / "small.dss").write_text(CIRCUIT)
     planner, data = first_window(phased_day(tmp_path / "small.dss").between(8, 9), 0.1)
-    high = np.full_like(data.require_phased().u_max, 1.10**2)
-    ways = giving_way(
-        planner.solver.site, replace(data, phased=replace(data.require_phased(), u_max=high))
-    )
-    most = [np.sqrt(each.require_phased().u_max.max()) for each in ways]
+    high = np.full_like(data.phased.u_max, 1.10**2)
+    ways = giving_way(planner.solver.site, replace(data, phased=replace(data.phased, u_max=high)))
+    most = [np.sqrt(each.phased.u_max.max()) for each in ways]
     assert most[:2] == pytest.approx([1.053, 1.0599])
 
 

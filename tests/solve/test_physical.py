@@ -44,7 +44,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario, write_scenario
 from vppres.model.beyond_paper.losses import Sweeps, injections, linearised, lossless
 from vppres.model.beyond_paper.physical import PhysicalMode
-from vppres.model.data import WindowData
+from vppres.model.data import Physics, WindowData
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.physics.powerflow import ACPowerFlow
@@ -124,7 +124,7 @@ def test_decomposed_equals_monolithic_with_losses_and_headroom(seed: int, stress
 @pytest.mark.nightly
 def test_windows_have_losses_islands_and_headroom() -> None:
     windows = [physical_answers(*key)[0].data for key in WINDOWS]
-    physics = [w.require_physics() for w in windows]
+    physics = [w.physics for w in windows]
     assert sum(w.loss_kw.max() > 1.0 for w in windows) >= 10
     assert sum((p.reference > 0).any() for p in physics) >= 10
     assert sum((p.soc_reserve > 0).any() for p in physics) >= 10
@@ -152,7 +152,7 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
         np.testing.assert_array_equal(after.p_flow_kw, before.p_flow_kw)
         flows = [(d.q_flow_kvar**2 @ site.network.r_ohm).sum() for d in (before, after)]
         less += flows[1] < 0.5 * flows[0]
-        islands += (data.require_physics().reference > 0).any()
+        islands += (data.physics.reference > 0).any()
     assert islands >= (3 if nightly else 1)
     assert less >= (3 if nightly else 1)
 
@@ -178,12 +178,13 @@ def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:
     case, (answer, _) = next(
         found
         for found in (physical_answers(*key) for key in WINDOWS)
-        if (found[0].data.require_physics().soc_reserve > 0).any()
-        and found[0].data.loss_kw.max() > 1.0
+        if (found[0].data.physics.soc_reserve > 0).any() and found[0].data.loss_kw.max() > 1.0
     )
-    paper = check_dispatch(case.scenario, replace(case.data, physics=None), answer.dispatch)
+    paper = check_dispatch(
+        case.scenario, replace(case.data, physics=Physics.absent()), answer.dispatch
+    )
     assert paper.violations["active balance"] > CHECKER_TOLERANCE
-    physics = case.data.require_physics()
+    physics = case.data.physics
     greedy = replace(case.data, physics=replace(physics, soc_reserve=physics.soc_reserve + 1.0))
     assert check_dispatch(case.scenario, greedy, answer.dispatch).violations["soc limits"] > 0.1
     powerless = replace(
@@ -197,7 +198,7 @@ def test_physical_problem_refuses_a_window_of_the_papers_mode(tiny: Scenario) ->
     statement = Statement(site, 1, ((PhysicalMode, True),))
     data = random_window(0).data
     with pytest.raises(ModelError, match="filled with a window of the paper's mode"):
-        statement.additions[0].fill(site, replace(data, physics=None))
+        statement.additions[0].fill(site, replace(data, physics=Physics.absent()))
 
 
 def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_with(

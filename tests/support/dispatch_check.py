@@ -103,7 +103,7 @@ def _batteries(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
     charged_kwh = dt_h * (data.eta_charge * d.charge_kw - d.discharge_kw / data.eta_discharge)
     apparent = np.hypot(d.charge_kw - d.discharge_kw, d.batt_q_kvar)
     reserve, kept_kva = (
-        (0.0, 0.0) if data.physics is None else (data.physics.soc_reserve, data.physics.headroom_kw)
+        (data.physics.soc_reserve, data.physics.headroom_kw) if data.physics else (0.0, 0.0)
     )
     return {
         "charge rating": _most(d.charge_kw / b.p_max_kw - 1.0),
@@ -140,9 +140,9 @@ def _grid(data: WindowData, d: Dispatch, scale_kw: float) -> dict[str, float]:
     dark = data.grid_limit_kw <= 0.0
     imported_kw, exported_kw = np.maximum(d.p_grid_kw, 0.0), np.maximum(-d.p_grid_kw, 0.0)
     from_outside = imported_kw + d.pv_export_kw.sum(axis=1)
-    if data.drawn is not None:  # a fixed demand may be negative
+    if data.drawn:  # a fixed demand may be negative
         from_outside = from_outside - np.minimum(data.drawn.kw.sum(axis=1), 0.0)
-    taken_kw = np.zeros(d.n_steps) if data.export is None else data.export.limit_kw * ~dark
+    taken_kw = data.export.limit_kw * ~dark if data.export else np.zeros(d.n_steps)
     return {
         "export limit": _most((exported_kw - taken_kw) / scale_kw),
         "grid limit": _most((d.p_grid_kw - data.grid_limit_kw) / scale_kw),
@@ -168,14 +168,14 @@ def _balances(
     for b, n in enumerate(items.battery_bus):
         left_p[:, n] += d.discharge_kw[:, b] - d.charge_kw[:, b]
         left_q[:, n] += d.batt_q_kvar[:, b]
-    if data.drawn is not None:
+    if data.drawn:
         left_p -= data.drawn.kw
         left_q -= data.drawn.kvar
     for line, upstream in enumerate(s.network.parent):
         for left, flow in ((left_p, d.p_flow_kw), (left_q, d.q_flow_kvar)):
             left[:, upstream] -= flow[:, line]
             left[:, line + 1] += flow[:, line]
-        if data.physics is not None:
+        if data.physics:
             left_p[:, line + 1] -= data.physics.loss_kw[:, line]
             left_q[:, line + 1] -= data.physics.loss_kvar[:, line]
     return {
@@ -200,7 +200,7 @@ def _voltages(s: Scenario, data: WindowData, d: Dispatch) -> dict[str, float]:
         behind_tap = u[:, upstream] / net.ratio[line] ** 2
         expected = behind_tap - drop + data.delta_pu2[:, line] / to_slack[line + 1] ** 2
         worst = max(worst, _most(np.abs(u[:, line + 1] - expected)))
-    held = [0] * d.n_steps if data.physics is None else list(data.physics.reference)
+    held = list(data.physics.reference) if data.physics else [0] * d.n_steps
     reference = np.array([u[t, n] for t, n in enumerate(held)])
     alone = u[[n != 0 for n in held]]
     return {
@@ -222,7 +222,7 @@ def _objective(s: Scenario, data: WindowData, d: Dispatch) -> float:
     total = 0.0
     for t in range(d.n_steps):
         service = sum(s.customers.weight[c] for c in range(len(s.customers)) if d.served[t, c])
-        exports = data.export is not None and d.p_grid_kw[t] < 0.0
+        exports = data.export and d.p_grid_kw[t] < 0.0
         price = data.export.price_gbp_per_kwh[t] if exports else data.price_gbp_per_kwh[t]
         cost_gbp = price * d.p_grid_kw[t] * dt_h
         flows = sum(

@@ -113,7 +113,7 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
         b.eta_charge,
         b.eta_discharge,
         np.zeros((n_steps, scenario.network.n_lines)),
-        export=Export.of(scenario, steps),
+        export=Export.of(scenario, steps) or Export.absent(),
         owed=Owed.of(scenario.customers, scenario.grid.dt_h),
         parts=Parts.one(scenario.network, len(b), n_steps),
     )
@@ -140,6 +140,6 @@ def first_step(scenario: Scenario, data: WindowData) -> StepState:
         data.eta_discharge,
         data.delta_pu2[0],
         np.ones(len(data.soc), dtype=bool),
-        parts=data.parts.steps(slice(1)),
+        parts=data.parts.part(slice(1)),
         due=np.zeros(len(scenario.customers), dtype=bool),
     )

@@ -42,7 +42,7 @@ def whole_problem(site: Site, data: WindowData, time_s: float = 60.0) -> Whole:
     # Cost weighs so little that SCIP would stop before it counts.
     scale = 1e3 / float(site.customers.weight.max())
     rows = list(statement.families.values())
-    if data.phased is not None:
+    if data.phased:
         rows += phase_rows(site, data, *_drawn(site, data, statement))
     problem = cp.Problem(cp.Maximize(scale * F), rows)
     limits = {"limits/time": time_s, "limits/absgap": 1e-5 * scale, "limits/gap": 0.0}

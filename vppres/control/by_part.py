@@ -77,7 +77,7 @@ def rule_by_part(
 def no_supply(state: StepState) -> Carried:
     """A step that no source can form: no supply, and all PV power curtailed."""
     site = state.site
-    without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=None)
+    without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=Drawn.absent())
     served = np.zeros(len(site.customers), dtype=bool)
     found = carry(without_power, served, np.zeros(len(site.batteries)))
     assert found is not None  # with no demand and no power every balance closes

@@ -104,7 +104,7 @@ class BalancedLinearisation:
         data = data.in_parts(self.site, parts)
         network = self.site.network
         if not network.draws:
-            return replace(data, drawn=None)
+            return replace(data, drawn=Drawn.absent())
         point = observation.operating_point
         v_pu = network.v_slack_pu * network.bus_ratio
         if point is not None:
@@ -133,14 +133,17 @@ class BalancedLinearisation:
         """The window with remembered offsets, losses and draws in some steps."""
         pairs = zip(rows, _rows(data), strict=True)
         offset_pu2, loss_kw, loss_kvar, *drawn = (np.where(steps[:, None], *pair) for pair in pairs)
-        physics = replace(data.require_physics(), loss_kw=loss_kw, loss_kvar=loss_kvar)
+        physics = replace(data.physics, loss_kw=loss_kw, loss_kvar=loss_kvar)
         return replace(
-            data, delta_pu2=offset_pu2, physics=physics, drawn=Drawn(*drawn) if drawn else None
+            data,
+            delta_pu2=offset_pu2,
+            physics=physics,
+            drawn=Drawn(*drawn) if drawn else data.drawn,
         )
 
     def points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""
-        physics = data.require_physics()
+        physics = data.physics
         network = self.site.network
         p, q = injections(self.site, data.for_service(dispatch.served), dispatch)
         found = None
@@ -205,7 +208,7 @@ class BalancedLinearisation:
         if (self._short_kw(data, points)[lit] > SHORT_KW).any():
             return False
         off_kw = np.abs(missing_kw)[lit].max()
-        if data.drawn is not None:
+        if data.drawn:
             found = drawn_at(self.site.network, points.v_pu[lit], data.in_island[lit])
             found = found.at(~data.parts.dead[lit])
             off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]
@@ -215,7 +218,7 @@ class BalancedLinearisation:
     def _short_kw(self, data: WindowData, points: ACPoints) -> Floats:
         """Losses that the plans of island parts lack, (W, N) by the number of the part."""
         of_bus = data.parts.of_bus
-        missing_kw = (points.loss_kw - data.require_physics().loss_kw) * data.lines_in_island
+        missing_kw = (points.loss_kw - data.physics.loss_kw) * data.lines_in_island
         found = np.zeros(of_bus.shape)
         steps = np.broadcast_to(np.arange(data.n_steps)[:, None], missing_kw.shape)
         np.add.at(found, (steps, of_bus[:, 1:]), missing_kw)
@@ -234,6 +237,6 @@ class BalancedLinearisation:
 
 def _rows(data: WindowData) -> tuple[Floats, ...]:
     """Linearisation of each step: offset and losses of each line, and the draw of each bus."""
-    physics = data.require_physics()
-    drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
+    physics = data.physics
+    drawn = (data.drawn.kw, data.drawn.kvar) if data.drawn else ()
     return data.delta_pu2, physics.loss_kw, physics.loss_kvar, *drawn

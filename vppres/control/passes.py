@@ -17,7 +17,7 @@ from vppres.control.linearisation import Linearisation, Points
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
-from vppres.model.data import WindowData
+from vppres.model.data import Unspent, WindowData
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Status, WindowSolution
@@ -47,8 +47,8 @@ class Passes:
         while passes < self.most and not self.agree(data, solution.dispatch, points):
             plan = solution.dispatch
             closer = self.linearisation.closer(data, plan, points, passes)
-            freed = replace(closer, unspent=None)
-            if data.unspent is not None:
+            freed = replace(closer, unspent=Unspent.absent())
+            if data.unspent:
                 limits = unspent(self.solver.site, closer, plan, data.network_kw)
                 closer = replace(closer, unspent=limits)
             found = self.solver.solve_served(
@@ -114,7 +114,6 @@ class Passes:
 
 def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:
     """A plan whose batteries' turns are to charge wherever they may give nothing."""
-    assert data.unspent is not None
     nothing = data.unspent.discharge_kw <= 0.0
     return replace(
         plan,

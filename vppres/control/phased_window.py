@@ -83,10 +83,9 @@ class PhasedLinearisation:
         )
         load_kw = np.where(at_items(data.parts.beyond, site.customer_bus), 0.0, load_kw)
         drawn = data.drawn
-        assert drawn is not None
         network_kw = data.loss_kw + np.where(data.parts.beyond, 0.0, drawn.kw).sum(axis=1)
         u, with_all = (
-            data.require_phased().u_offset + self.model.linear(data, *self._with_sun(data, kw))[0]
+            data.phased.u_offset + self.model.linear(data, *self._with_sun(data, kw))[0]
             for kw in (own, own + spare)
         )
         room = np.where(self.model.limited, site.feeder.v_max_pu**2 - u, np.inf)
@@ -144,8 +143,7 @@ class PhasedLinearisation:
         share: float = 1.0,
     ) -> WindowData:
         """The window linearised at AC points in some steps, or a share of the way there."""
-        phased, drawn = data.require_phased(), data.drawn
-        assert drawn is not None
+        phased, drawn = data.phased, data.drawn
         u, former = self.model.offsets(data, p, q, points)
         currents = points.currents - self.model.currents(data, p, q)
         moved = share * steps[:, None]
@@ -166,8 +164,8 @@ class PhasedLinearisation:
 
         Of these steps, (W,).
         """
-        u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
-        ways = [each.require_phased() for each in giving_way(self.model.site, data)]
+        u = data.phased.u_offset + self.model.linear(data, p, q)[0]
+        ways = [each.phased for each in giving_way(self.model.site, data)]
         room = [np.abs([u - way.u_min, way.u_max - u]) for way in ways]
         return binding(self.model, self.model.limits_at(data, steps), np.min(room, axis=0))
 
@@ -177,7 +175,7 @@ class PhasedLinearisation:
         They are those of the window's own linearisation, so that this state is a dispatch of it.
         Hard limits of voltages give way in islands alone.
         """
-        phased = data.require_phased()
+        phased = data.phased
         net = self.model.site.feeder
         drawn = self._without_control(data)
         own = phased.u_offset + self.model.linear(data, *drawn)[0]
@@ -194,7 +192,7 @@ class PhasedLinearisation:
 
     def v_pu(self, data: WindowData, p: Floats, q: Floats) -> Floats:
         """Voltages of the linear model, (W, m)."""
-        u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
+        u = data.phased.u_offset + self.model.linear(data, p, q)[0]
         return np.sqrt(np.maximum(u, 0.0))
 
     def agrees(self, data: WindowData, dispatch: Dispatch, points: PhasedPoints) -> bool:
@@ -203,8 +201,7 @@ class PhasedLinearisation:
         No current that a plan keeps within its rating may be beyond it, nor a phase of the former.
         """
         lit = lit_steps(data)
-        phased, drawn = data.require_phased(), data.drawn
-        assert drawn is not None
+        phased, drawn = data.phased, data.drawn
         p, q = self.known(data, dispatch)
         off_pu = np.abs(self.v_pu(data, p, q) - np.sqrt(points.u_pu2))[lit].max()
         off_kw = np.abs(points.network_kw - drawn.kw)[lit].max()

@@ -43,7 +43,7 @@ class StepState:
     #: Largest export, 0 in an outage and where the connection imports only.
     export_limit_kw: float = 0.0
     #: What the network itself draws, one step; None where it draws nothing.
-    drawn: Drawn | None = None
+    drawn: Drawn = field(default_factory=Drawn.absent)
     #: Voltages that the feeder has without control, where limits give way to them; none if not
     #: given, (k, N).
     own_v_pu: Floats = field(default_factory=lambda: np.empty((0, 1)))
@@ -146,12 +146,12 @@ class StepState:
     @cached_property
     def drawn_kw(self) -> Floats:
         """Active power that the network itself draws, (N,)."""
-        return np.zeros(self.site.network.n_buses) if self.drawn is None else self.drawn.kw[0]
+        return self.drawn.kw[0] if self.drawn else np.zeros(self.site.network.n_buses)
 
     @cached_property
     def drawn_kvar(self) -> Floats:
         """Reactive power that the network itself draws, (N,)."""
-        return np.zeros(self.site.network.n_buses) if self.drawn is None else self.drawn.kvar[0]
+        return self.drawn.kvar[0] if self.drawn else np.zeros(self.site.network.n_buses)
 
     @cached_property
     def usable_pv_kw(self) -> Floats:

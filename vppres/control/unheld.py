@@ -36,7 +36,7 @@ class UnheldSteps:
         Rules on switching, which may ask for more supply than there is, count for nothing here.
         """
         beyond = np.zeros(start.n_steps, dtype=bool)
-        if start.drawn is None:
+        if not start.drawn:
             return beyond
         free = replace(start, switching=None)
         for step in np.flatnonzero(start.dark & lit_steps(start)):

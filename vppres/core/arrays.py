@@ -6,7 +6,7 @@ import hashlib
 import sys
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,7 +86,18 @@ class Items:
 
 @dataclass(frozen=True, eq=False)
 class ByStep:
-    """Fields of arrays with a row for each of W steps."""
+    """Fields of arrays with a row for each of W steps.
+
+    What a window has nothing of is absent: arrays of length 0, which count as false.
+    """
+
+    @classmethod
+    def absent(cls) -> Self:
+        """Arrays of length 0."""
+        return cls(*(np.empty((0, 0)) for _ in fields(cast(Any, cls))))
+
+    def __bool__(self) -> bool:
+        return len(getattr(self, fields(self)[0].name)) > 0
 
     def part(self, steps: slice) -> Self:
         """The first steps of the window, by a slice."""

@@ -87,7 +87,7 @@ def _alone(slopes: Slopes, customer: int, kw: float, kvar: float) -> tuple[Float
 def overloaded_phase(step: Step, customer: int) -> int | None:
     """The former's phase that all demand of a customer would take furthest beyond its room."""
     phased = step.levels.window.phased
-    if phased is None or step.dark:
+    if not phased or step.dark:
         return None
     supply = step.recorded.supply(step.t)
     if supply is None or not supply.forms.any():
@@ -127,7 +127,7 @@ def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
 
 def _under_voltage(step: Step, customer: int) -> bool:
     """Whether a voltage would fall below what plans allow with the demand of a customer."""
-    if step.levels.window.phased is not None:
+    if step.levels.window.phased:
         return _node_under_voltage(step, step.levels.window.phased, customer)
     kw, kvar = _flows_for(step, customer)
     net = step.site.network

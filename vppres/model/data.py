@@ -12,8 +12,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.terminal import Terminal
-from vppres.core.arrays import Complexes, Flags, Floats, Wholes
-from vppres.core.errors import ModelError
+from vppres.core.arrays import ByStep, Complexes, Flags, Floats, Wholes
 from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.kinds.customer.physics import Owed, SwitchingData
 from vppres.kinds.export.physics import Export
@@ -25,7 +24,7 @@ from vppres.scenario.network import Network
 
 
 @dataclass(frozen=True, eq=False)
-class Physics:
+class Physics(ByStep):
     """Losses and headroom of physical mode in a window of W steps."""
 
     #: Losses of the lines at the AC points the window is linearised at, not negative, (W, L).
@@ -37,25 +36,17 @@ class Physics:
     #: State of charge that is kept above ``soc_min`` at the end of each step, (W, B).
     soc_reserve: Floats
 
-    def part(self, steps: slice) -> Physics:
-        """Some of the steps."""
-        return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
-
 
 @dataclass(frozen=True, eq=False)
-class Unspent:
+class Unspent(ByStep):
     """Limits that keep stored energy while PV power is curtailed, in a window of W steps."""
 
     discharge_kw: Floats  #: largest discharging power, (W, B): none where PV power is enough
     curtailed_kw: Floats  #: largest curtailed power, (W,): none where it is not
 
-    def part(self, steps: slice) -> Unspent:
-        """Some of the steps."""
-        return Unspent(self.discharge_kw[steps], self.curtailed_kw[steps])
-
 
 @dataclass(frozen=True, eq=False)
-class PhasedWindow:
+class PhasedWindow(ByStep):
     """Linearisation of a window of W steps on a phased feeder; m voltages have limits."""
 
     u_offset: Floats  #: squared voltages with nothing drawn that meet the AC points, (W, m)
@@ -73,9 +64,12 @@ class PhasedWindow:
     current_max: Floats  #: their limits, (W, k); infinite where nothing limits them
     current_own: Floats  #: what they are without control, where ratings give way to it, (W, k)
 
-    def part(self, steps: slice) -> PhasedWindow:
-        """Some of the steps."""
-        return PhasedWindow(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+ROWS = (
+    *("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw"),
+    *("delta_pu2", "own_u_pu2", "flow_max_kva"),
+)
+"""Arrays of a window that have a row for each of its steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +86,15 @@ class WindowData:
     eta_discharge: Floats
     #: Right-hand side of the delta form of LinDistFlow, (W, L); zero gives plain LinDistFlow.
     delta_pu2: Floats
-    #: Losses, island and headroom of physical mode; None is the paper's problem.
-    physics: Physics | None = None
+    #: Losses, island and headroom of physical mode; absent in the paper's problem.
+    physics: Physics = field(default_factory=Physics.absent)
     switching: SwitchingData | None = None  #: rules on switching customers; None is the paper
     #: The previous plan, where moves away from it are to be few; None is the paper.
     moves: Moves | None = None
-    #: What the grid takes back; None is the paper's connection, which imports only.
-    export: Export | None = None
-    #: What the network itself draws; None where it has no shunt, charging or fixed demand.
-    drawn: Drawn | None = None
+    #: What the grid takes back; absent in the paper, whose connection imports only.
+    export: Export = field(default_factory=Export.absent)
+    #: What the network itself draws; absent where it has no shunt, charging or fixed demand.
+    drawn: Drawn = field(default_factory=Drawn.absent)
     #: Who was on supply just before the window, (C,); None if it is not known.
     on_before: Flags | None = None
     open_ended: bool = False  #: whether outages may last longer than the window says
@@ -115,13 +109,14 @@ class WindowData:
     own_u_pu2: Floats = field(default_factory=lambda: np.empty((0, 0)))
     #: Largest flow of each line, (W, L); no row, the paper, has no ratings.
     flow_max_kva: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    phased: PhasedWindow | None = None  #: voltages and former by phase; None for a balanced feeder
+    #: Voltages and former by phase; absent of a balanced feeder.
+    phased: PhasedWindow = field(default_factory=PhasedWindow.absent)
     #: Customers that cannot be dimmed, (C,); None where all that the site dims can be.
     whole: Flags | None = None
     owed: Owed = field(kw_only=True)  #: what dimmed customers may catch up from before the window
     parts: Parts = field(kw_only=True)  #: parts into which lines that are out cut the feeder
-    #: What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
-    unspent: Unspent | None = None
+    #: What keeps stored energy while PV power is curtailed; absent in the paper.
+    unspent: Unspent = field(default_factory=Unspent.absent)
     #: Vehicles, rooms and generating sets; none if not given.
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
@@ -151,7 +146,7 @@ class WindowData:
             delta_pu2=offset,
             switching=None if rules is None else rules.priced(site.hour_beyond, site.dt_h),
             moves=observation.moves,
-            export=forecast.export,
+            export=forecast.export or Export.absent(),
             drawn=drawn_by(
                 site.network,
                 None if point is None else point.v_pu,
@@ -195,38 +190,9 @@ class WindowData:
         return replace(self, soc=np.where(rounding, inside, self.soc))
 
     @property
-    def asks_for_sooner(self) -> bool:
-        """Whether the paper is silent on which of equal plans is taken (``docs/method.md``)."""
-        return self.physical or self.open_ended
-
-    @property
     def physical(self) -> bool:
         """Whether the window's problem is that of physical mode."""
-        return self.physics is not None
-
-    def require_physics(self) -> Physics:
-        """The physics of a window that must have one.
-
-        Raises
-        ------
-        ModelError
-            If it has none.
-        """
-        if self.physics is None:
-            raise ModelError("A physical problem was filled with a window of the paper's mode.")
-        return self.physics
-
-    def require_phased(self) -> PhasedWindow:
-        """The phases of a window that must have them.
-
-        Raises
-        ------
-        ModelError
-            If it has none.
-        """
-        if self.phased is None:
-            raise ModelError("A window of a balanced feeder has no phases.")
-        return self.phased
+        return bool(self.physics)
 
     @property
     def n_steps(self) -> int:
@@ -247,30 +213,19 @@ class WindowData:
 
     def part(self, steps: slice) -> WindowData:
         """Some steps of the window; ``soc`` stays that of its beginning."""
-        cut = {
-            name: getattr(self, name)[steps]
-            for name in (
-                *("load_kw", "pv_kw", "price_gbp_per_kwh", "grid_limit_kw", "delta_pu2"),
-                *("own_u_pu2", "flow_max_kva"),
-            )
-        }
-        to_the_end = steps.indices(self.n_steps)[1] == self.n_steps
+        by_step = {name: getattr(self, name) for name in ROWS}
+        tables = {f.name: getattr(self, f.name) for f in fields(self)}
+        tables = {name: each for name, each in tables.items() if hasattr(each, "part")}
+        begin, end, _ = steps.indices(self.n_steps)
+        to_the_end = end == self.n_steps
         return replace(
             self,
-            **cut,
-            physics=self.physics and self.physics.part(steps),
-            switching=self.switching and self.switching.part(steps),
-            moves=self.moves and self.moves.part(steps),
-            export=self.export and self.export.part(steps),
-            drawn=self.drawn and self.drawn.part(steps),
-            on_before=None if steps.indices(self.n_steps)[0] else self.on_before,
+            **{name: rows[steps] for name, rows in by_step.items()},
+            **{name: table.part(steps) for name, table in tables.items()},
+            on_before=None if begin else self.on_before,
             ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
-            phased=self.phased and self.phased.part(steps),
-            parts=self.parts.steps(steps),
-            unspent=self.unspent and self.unspent.part(steps),
-            ahead=self.ahead.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
@@ -289,18 +244,6 @@ class WindowData:
             return "value"
         return "" if self.terminal is None else "target"
 
-    def require_value(self) -> StoredValue:
-        """The value of a window that must have one.
-
-        Raises
-        ------
-        ModelError
-            If it has none.
-        """
-        if self.stored_value is None:
-            raise ModelError("A problem with a value was filled with a window without.")
-        return self.stored_value
-
     @property
     def keeps_service(self) -> bool:
         """Whether later service is weighed against service: then service is no whole number."""
@@ -310,48 +253,25 @@ class WindowData:
         """State of charge before every step and after the last, limits left out, (W + 1, B)."""
         return BatteriesAhead.of(site.batteries, self, site.dt_h).path(charge_kw, discharge_kw)
 
-    def kept_range(self, site: Site) -> tuple[float, float]:
-        """Least and most that the energy at the end can be worth, in weighted customer hours."""
-        if self.stored_value is None:
-            return 0.0, 0.0
-        b = site.batteries
-        charged_kw = float(self.eta_charge @ b.active_max_kw)
-        drawn_kw = float((b.active_max_kw / self.eta_discharge).sum())
-        held_kwh = float(b.energy_kwh @ self.soc)
-        hours = self.n_steps * site.dt_h
-        most_kwh = min(
-            held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh)
-        )
-        least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
-        for kind, kwh_each in self.stored_value.kwh_each.items():
-            most_kwh += self.ahead.by_kind[kind].most_left_kwh(kwh_each)
-        return self.stored_value.between(least_kwh, most_kwh)
-
     def active_max_kw(self, batteries: Batteries) -> Floats:
         """Largest active power that a plan may ask of each battery, (W, B)."""
         most_kw = np.tile(batteries.active_max_kw, (self.n_steps, 1))
-        return most_kw if self.physics is None else most_kw - self.physics.headroom_kw
+        return most_kw - self.physics.headroom_kw if self.physics else most_kw
 
     def soc_min(self, batteries: Batteries) -> Floats:
         """Least state of charge at the end of each step, (W, B)."""
         least = np.tile(batteries.soc_min, (self.n_steps, 1))
-        return least if self.physics is None else least + self.physics.soc_reserve
+        return least + self.physics.soc_reserve if self.physics else least
 
     @property
     def loss_kw(self) -> Floats:
         """Losses of all lines, (W,); zero in the paper's mode."""
-        return (
-            np.zeros(self.n_steps)
-            if self.physics is None
-            else np.asarray(self.physics.loss_kw.sum(axis=1))
-        )
+        return self.physics.loss_kw.sum(axis=1) if self.physics else np.zeros(self.n_steps)
 
     @property
     def network_kw(self) -> Floats:
         """Losses of all lines and what the network itself draws, (W,)."""
-        if self.drawn is None:
-            return self.loss_kw
-        return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
+        return self.loss_kw + self.drawn.kw.sum(axis=1) if self.drawn else self.loss_kw
 
     @property
     def limits_time_off(self) -> bool:
@@ -397,7 +317,7 @@ class WindowData:
     @property
     def network_gives_kw(self) -> Floats:
         """Power that the network gives on balance, as a fixed demand may be negative, (W,)."""
-        if self.drawn is None:
+        if not self.drawn:
             return np.zeros(self.n_steps)
         return np.asarray(np.maximum(-self.drawn.kw.sum(axis=1), 0.0))
 
@@ -407,7 +327,7 @@ class WindowData:
 
         Nothing holds it back, and the grid takes it all the same where there is one.
         """
-        limit_kw = 0.0 if self.export is None else self.export.limit_kw
+        limit_kw = self.export.limit_kw if self.export else 0.0
         beyond_kw = np.maximum(self.network_gives_kw - limit_kw, 0.0)
         return np.asarray(np.where(self.grid_limit_kw > 0.0, beyond_kw, 0.0))
 
@@ -426,19 +346,12 @@ class WindowData:
         """Buses that the grid reaches, (W, N)."""
         return ~self.dark[:, None] & ~self.parts.beyond
 
-    @property
-    def both_ways_earn(self) -> bool:
-        """Whether importing and exporting at once would earn in a step with grid."""
-        return self.export is not None and self.export.earns_both_ways(
-            self.price_gbp_per_kwh, self.grid_limit_kw
-        )
-
     def export_max_kw(self, site: Site) -> Floats:
         """Largest export that there can ever be, or the limit where that is smaller, (W,).
 
         No more than all PV power and all discharging; nothing where the grid is away.
         """
-        if self.export is None:
+        if not self.export:
             return np.zeros(self.n_steps)
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.network_gives_kw
         possible = sum(self.ahead.most_given_kw(site.kinds), start=possible)
@@ -452,8 +365,8 @@ class WindowData:
             + site.batteries.s_max_kva.sum()
             + site.pv.s_max_kva.sum()
         )
-        if self.physics is not None:
+        if self.physics:
             possible = possible + self.physics.loss_kvar.sum(axis=1)
-        if self.drawn is not None:
+        if self.drawn:
             possible = possible + np.abs(self.drawn.kvar).sum(axis=1)
         return np.where(self.grid_limit_kw > 0.0, possible, 0.0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.operating_point import Centre, OperatingPoint
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import ByStep, Flags, Floats, Wholes
 from vppres.model.formulas import lossless_flows, voltage_offset_pu2
 from vppres.scenario.network import Network
 
@@ -47,16 +47,12 @@ def delta_offset(
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class Drawn(ByStep):
     """Power that the network itself draws in a window: shunts, charging and fixed demand."""
 
     #: At each bus, (W, N); negative where it gives power.
     kw: Floats
     kvar: Floats
-
-    def part(self, steps: slice) -> Drawn:
-        """Some of the steps."""
-        return Drawn(self.kw[steps], self.kvar[steps])
 
     def at(self, buses: Flags) -> Drawn:
         """Power drawn at some buses of each step, (W, N), and nothing at the others."""
@@ -67,8 +63,8 @@ class Drawn:
         return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
 
 
-def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Wholes) -> Drawn | None:
-    """Power that a network draws in the steps of a window, None if it never draws anything.
+def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Wholes) -> Drawn:
+    """Power that a network draws in the steps of a window, absent if it never draws anything.
 
     An island of the paper's mode is lossless: as with losses, the slack bus supplies what the
     network draws, so that the sum over the buses is zero. Behind a line that is out the first bus
@@ -86,7 +82,7 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Whole
     [[0.0, -81.0], [81.0, -81.0]]
     """
     if not network.draws:
-        return None
+        return Drawn.absent()
     at_no_load = network.v_slack_pu * network.bus_ratio
     if v_pu is not None:
         at_no_load = np.where(np.isnan(v_pu), at_no_load, v_pu)

@@ -41,7 +41,7 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     linearisation, so that this state is one of the last window's dispatches. In an island nothing
     gives way, and where the feeder without control has no power flow the AC limits stand.
     """
-    if data.phased is not None:
+    if data.phased:
         return _phases_giving_way(site, data, data.phased)
     connected = data.with_grid
     if not site.soft_voltages or not connected.any():
@@ -75,7 +75,7 @@ def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> li
     ac = net.v_min_ac_pu + KEPT_PU, net.v_max_ac_pu - KEPT_PU
     plans = net.v_min_pu, net.v_max_pu
     for (low, high), share in (*((ac, share) for share in GIVEN), (plans, 0.0)):
-        last = found[0].require_phased()
+        last = found[0].phased
         u_min = np.maximum(last.u_min, _given(low**2, np.minimum(phased.u_min, low**2), share))
         u_max = np.minimum(last.u_max, _given(high**2, np.maximum(phased.u_max, high**2), share))
         if (u_min > last.u_min).any() or (u_max < last.u_max).any():

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import ByStep, Flags, Floats, Wholes
 from vppres.model.site import Site
 from vppres.scenario.faults import OutOfService, parts_by_bus
 from vppres.scenario.formers import formers_within, named_units
@@ -16,7 +16,7 @@ from vppres.scenario.network import Network
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class Parts(ByStep):
     """Parts of a feeder in W steps: all of it is one where no line is out."""
 
     lines: Flags  #: lines that are out, (W, L): they carry nothing
@@ -38,10 +38,6 @@ class Parts:
             np.zeros(at_buses, dtype=int),
             np.zeros((n_steps, n_batteries), dtype=bool),
         )
-
-    def steps(self, steps: slice) -> Parts:
-        """Some of the steps."""
-        return Parts(*(getattr(self, f.name)[steps] for f in fields(self)))
 
     @property
     def cut(self) -> Flags:

@@ -256,7 +256,7 @@ class PhasedModel:
         """Supply of each step of a window, (W,)."""
         found = self.sources_of(data.dark, data.ahead.formers())
         for t in np.flatnonzero(data.parts.cut):
-            found[t] = self.source_in(data.parts.steps(slice(t, t + 1)), bool(data.dark[t]))
+            found[t] = self.source_in(data.parts.part(slice(t, t + 1)), bool(data.dark[t]))
         return found
 
     def sources_of(self, island: Flags, forms: Mapping[str, Flags]) -> Wholes:
@@ -344,7 +344,7 @@ class PhasedModel:
         of_units = (known.kept_kw().sum(axis=1) for known in data.ahead.by_kind.values())
         found[:, 0] = sum(of_units, start=found[:, 0])
         place = {str(name): i for i, name in enumerate(self.site.batteries.id)}
-        headroom_kw = data.require_physics().headroom_kw
+        headroom_kw = data.physics.headroom_kw
         for supply, steps in self._each(sources):
             for at, (_, former) in enumerate(supply.fed):
                 if former in place:

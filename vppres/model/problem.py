@@ -65,8 +65,8 @@ def paper_problem(site: Site, n_steps: int) -> PaperProblem:
     >>> paper.problem.is_mixed_integer(), paper.problem.is_dcp()
     (True, True)
     """
-    v = Variables.create(site, n_steps)  # Table 1, tab:opt_variables
-    p = Parameters.create(site, n_steps)  # Table 2, tab:parameters
+    v = Variables(site, n_steps)  # Table 1, tab:opt_variables
+    p = Parameters(site, n_steps)  # Table 2, tab:parameters
     return PaperProblem(v, p, paper_objective(site, v, p), paper_constraints(site, v, p))
 
 

@@ -36,7 +36,7 @@ def with_ratings(site: Site, data: WindowData, give_way: bool = True) -> WindowD
     is on.
     """
     own_share = (1.0 + KEPT_SHARE) * (site.soft_ratings and give_way)
-    if data.phased is not None:
+    if data.phased:
         most = np.maximum(1.0 - KEPT_SHARE, own_share * data.phased.current_own)
         return replace(data, phased=replace(data.phased, current_max=most))
     net = site.network
@@ -58,7 +58,7 @@ def with_ratings_given(site: Site, data: WindowData, to: Dispatch, share: float)
     limited = with_ratings(site, data)
     size, most = _flows(site, limited, to)
     given = most + share * np.maximum(size - most, 0.0)
-    if limited.phased is not None:
+    if limited.phased:
         return replace(limited, phased=replace(limited.phased, current_max=given))
     return replace(limited, flow_max_kva=given)
 
@@ -74,7 +74,7 @@ def overloaded(site: Site, data: WindowData, dispatch: Dispatch, by: float = 0.0
 
 def _flows(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats | float]:
     """Flows of lines in kVA and what the window allows; with phases currents as shares."""
-    if data.phased is None:
+    if not data.phased:
         return np.hypot(dispatch.p_flow_kw, dispatch.q_flow_kvar), limit_kva(data)
     drawn = phased_model(site).drawn(data.for_service(dispatch.served), dispatch)
     return loading_of_phases(site, data, *drawn), data.phased.current_max
@@ -82,13 +82,13 @@ def _flows(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Fl
 
 def loading_of_phases(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Floats:
     """Currents of a phased feeder as shares of their ratings, (W, k), of what assets draw."""
-    offset = data.require_phased().current_offset
+    offset = data.phased.current_offset
     return np.abs(offset + phased_model(site).currents(data, p_kw, q_kvar))
 
 
 def has_ratings(data: WindowData) -> bool:
     """Whether currents of a window are limited."""
-    if data.phased is not None:
+    if data.phased:
         return bool(np.isfinite(data.phased.current_max).any())
     return len(data.flow_max_kva) > 0
 

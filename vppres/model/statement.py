@@ -7,7 +7,6 @@ selection of them; see :mod:`vppres.solve.selection`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cached_property
 
 import cvxpy as cp
@@ -79,10 +78,10 @@ class Statement:
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
         self.n_steps = n_steps
-        v = Variables.create(site, n_steps)
+        v = Variables(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
         self._own_parts = [each for each in self.additions if type(each) not in PROVEN]
-        p = self._with_additions(v, Parameters.create(site, n_steps))
+        p = self._with_additions(v, Parameters(site, n_steps))
         self.v = v
         self.p = p
         paper = problem.paper_constraints(site, v, p)
@@ -104,7 +103,7 @@ class Statement:
         self.terms = self._terms()
         self.changed = changed_families(paper, site, v, p)
         self.own = self._own_names(paper)
-        named = self.families | self.implied
+        self._named = named = self.families | self.implied
         for name, constraint in named.items():
             if not constraint.is_dcp(dpp=True):
                 raise ModelError(
@@ -121,16 +120,14 @@ class Statement:
 
     def _with_additions(self, v: Variables, p: Parameters) -> Parameters:
         """The parameters with what additions set of them; what is added is summed."""
-        values: dict[str, cp.Expression] = {}
         for addition in self.additions:
             for name, value in (*addition.parameters(self.site).items(), *self._at_buses(addition)):
-                both = name.endswith("_added") and name in values
-                values[name] = values[name] + value if both else value
-        p = replace(p, **values)
-        if not self.site.phases:
-            return p
-        taken = [addition.taken(self.site) for addition in self.additions]
-        return replace(p, by_asset=drawn_by_assets(self.site, v, p, taken))
+                before = getattr(p, name) if name.endswith("_added") else None
+                setattr(p, name, value if before is None else before + value)
+        if self.site.phases:
+            taken = [addition.taken(self.site) for addition in self.additions]
+            p.by_asset = drawn_by_assets(self.site, v, p, taken)
+        return p
 
     def _at_buses(self, addition: Addition) -> Iterator[tuple[str, cp.Expression]]:
         """Power that an addition takes at the buses."""
@@ -195,17 +192,34 @@ class Statement:
     @property
     def own_letters(self) -> frozenset[str]:
         """Letters that your own families and term use."""
-        parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
-        return frozenset(x.name() for part in parts for x in part.variables())
+        of_term = {x.name() for x in self.terms["own"].variables()} if "own" in self.own else ()
+        families = (self.letters_of(name) for name in self.own if name != "own")
+        return frozenset().union(of_term, *families)
 
     @property
-    def own_is_apart(self) -> bool:
-        """Whether your own families have letters of their own alone, and there is no term.
+    def differs(self) -> tuple[str, ...]:
+        """How the page differs from the paper's: families by name, ``own`` for a term of F."""
+        return self.own + self.changed
 
-        Balances join them to the paper's.
+    @property
+    def minds_network(self) -> bool:
+        """Whether what differs needs the network, or what follows from the paper may not hold."""
+        return bool(self.changed or self.own_letters & self.network_letters)
+
+    @property
+    def minds_service(self) -> bool:
+        """Whether what differs from the paper may ask for other service or import than it.
+
+        Not where your own families have letters of their own alone, which balances join to the
+        paper's, and there is no term.
         """
         paper = {x.name() for x in vars(self.v).values() if isinstance(x, cp.Variable)}
-        return not (self.changed or "own" in self.terms or self.own_letters & paper)
+        joined = self.changed or "own" in self.terms or self.own_letters & paper
+        return bool(self.differs and joined)
+
+    def letters_of(self, family: str) -> frozenset[str]:
+        """Letters that a family uses."""
+        return frozenset(x.name() for x in self._named[family].variables())
 
     def named(self, kind: str) -> tuple[str, ...]:
         """Letters or families that additions name as of a kind, of those that there are."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -32,7 +31,6 @@ FIELDS = {
 """Field of a dispatch for each letter; voltages of ``u`` squared."""
 
 
-@dataclass(frozen=True, eq=False)
 class Parameters:
     """Parameters that a re-solve may change (W steps).
 
@@ -43,59 +41,34 @@ class Parameters:
     Of a feeder with phases ``by_asset`` is what each asset draws, in kW and kvar, (W, D) each.
     """
 
-    P_load: cp.Parameter
-    Q_load: cp.Parameter
-    P_pv: cp.Parameter
-    P_self_max: cp.Parameter
-    rho_dt: cp.Parameter
-    P_grid_max: cp.Parameter
-    Q_grid_max: cp.Parameter
-    SoC_0: cp.Parameter
-    eta_ch: cp.Parameter
-    inv_eta_dch: cp.Parameter
-    delta: cp.Parameter
-    u_min: cp.Parameter
-    u_max: cp.Parameter
-    P_added: cp.Expression | None = None
-    Q_added: cp.Expression | None = None
-    P_self_added: cp.Expression | None = None
-    P_fed_added: cp.Expression | None = None
-    S_max: cp.Expression | None = None
-    SoC_min: cp.Expression | None = None
-    E_kept_added: cp.Expression | None = None
-    by_asset: tuple[cp.Expression, cp.Expression] | None = None
-
-    @classmethod
-    def create(cls, site: Site, W: int) -> Parameters:
-        """Parameters of a window of W steps."""
-        C = len(site.customers)
-        P = len(site.pv)
-        B = len(site.batteries)
+    def __init__(self, site: Site, W: int) -> None:
+        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
         L = site.network.n_lines
-        shapes = {
-            "P_load": (W, C),
-            "Q_load": (W, C),
-            "P_pv": (W, P),
-            "P_self_max": (W, P),
-            "rho_dt": (W,),
-            "P_grid_max": (W,),
-            "Q_grid_max": (W,),
-            "SoC_0": (B,),
-            "eta_ch": (W, B),
-            "inv_eta_dch": (W, B),
-            "delta": (W, L),
-            "u_min": (W, L),
-            "u_max": (W, L),
-        }
-        signed = {"rho_dt", "delta"}
-        if (site.customers.q_per_p < 0).any():
-            signed |= {"Q_load"}
-        return cls(
-            **{
-                name: cp.Parameter(shape, name=name, nonneg=name not in signed)
-                for name, shape in shapes.items()
-            }
-        )
+
+        def number(name: str, *shape: int, signed: bool = False) -> cp.Parameter:
+            return cp.Parameter(shape, name=name, nonneg=not signed)
+
+        self.P_load = number("P_load", W, C)
+        self.Q_load = number("Q_load", W, C, signed=bool((site.customers.q_per_p < 0).any()))
+        self.P_pv = number("P_pv", W, P)
+        self.P_self_max = number("P_self_max", W, P)
+        self.rho_dt = number("rho_dt", W, signed=True)
+        self.P_grid_max = number("P_grid_max", W)
+        self.Q_grid_max = number("Q_grid_max", W)
+        self.SoC_0 = number("SoC_0", B)
+        self.eta_ch = number("eta_ch", W, B)
+        self.inv_eta_dch = number("inv_eta_dch", W, B)
+        self.delta = number("delta", W, L, signed=True)
+        self.u_min = number("u_min", W, L)
+        self.u_max = number("u_max", W, L)
+        self.P_added: cp.Expression | None = None
+        self.Q_added: cp.Expression | None = None
+        self.P_self_added: cp.Expression | None = None
+        self.P_fed_added: cp.Expression | None = None
+        self.S_max: cp.Expression | None = None
+        self.SoC_min: cp.Expression | None = None
+        self.E_kept_added: cp.Expression | None = None
+        self.by_asset: tuple[cp.Expression, cp.Expression] | None = None
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data: all values are computed first, then all are written."""
@@ -120,7 +93,6 @@ class Parameters:
             write(getattr(self, name), value)
 
 
-@dataclass(frozen=True, eq=False)
 class Variables:
     """Decision variables of a window of W steps (paper, Table "Optimization Variables").
 
@@ -128,31 +100,9 @@ class Variables:
     slack bus, line ``l`` ends at bus ``l + 1``.
     """
 
-    x_served: cp.Expression
-    P_self: cp.Expression
-    P_exp: cp.Expression
-    P_curt: cp.Expression
-    Q_pv: cp.Expression
-    P_ch: cp.Expression
-    P_dch: cp.Expression
-    delta: cp.Expression
-    P_batt: cp.Expression
-    Q_batt: cp.Expression
-    SoC: cp.Variable
-    P_grid: cp.Variable
-    Q_grid: cp.Variable
-    u: cp.Variable
-    P_flow: cp.Expression
-    Q_flow: cp.Expression
-
-    @classmethod
-    def create(cls, site: Site, W: int) -> Variables:
-        """Variables of a window."""
-        C = len(site.customers)
-        P = len(site.pv)
-        B = len(site.batteries)
-        N = site.network.n_buses
-        L = site.network.n_lines
+    def __init__(self, site: Site, W: int) -> None:
+        C, P, B = len(site.customers), len(site.pv), len(site.batteries)
+        N, L = site.network.n_buses, site.network.n_lines
 
         def nonneg(name: str, *shape: int) -> cp.Variable:
             return cp.Variable(shape, name=name, nonneg=True)
@@ -160,26 +110,22 @@ class Variables:
         def free(name: str, *shape: int) -> cp.Variable:
             return cp.Variable(shape, name=name)
 
-        P_ch = nonneg("P_ch", W, B)
-        P_dch = nonneg("P_dch", W, B)
-        return cls(
-            x_served=cp.Variable((W, C), name="x_served", boolean=True),
-            P_self=nonneg("P_self", W, P),
-            P_exp=nonneg("P_exp", W, P),
-            P_curt=nonneg("P_curt", W, P),
-            Q_pv=free("Q_pv", W, P),
-            P_ch=P_ch,
-            P_dch=P_dch,
-            delta=cp.Variable((W, B), name="delta", boolean=True),
-            P_batt=P_ch - P_dch,  # (1)
-            Q_batt=free("Q_batt", W, B),
-            SoC=free("SoC", W + 1, B),
-            P_grid=nonneg("P_grid", W),
-            Q_grid=free("Q_grid", W),
-            u=nonneg("u", W, N),
-            P_flow=free("P_flow", W, L),
-            Q_flow=free("Q_flow", W, L),
-        )
+        self.P_ch = nonneg("P_ch", W, B)
+        self.P_dch = nonneg("P_dch", W, B)
+        self.x_served = cp.Variable((W, C), name="x_served", boolean=True)
+        self.P_self = nonneg("P_self", W, P)
+        self.P_exp = nonneg("P_exp", W, P)
+        self.P_curt = nonneg("P_curt", W, P)
+        self.Q_pv = free("Q_pv", W, P)
+        self.delta = cp.Variable((W, B), name="delta", boolean=True)
+        self.P_batt = self.P_ch - self.P_dch  # (1)
+        self.Q_batt = free("Q_batt", W, B)
+        self.SoC = free("SoC", W + 1, B)
+        self.P_grid = nonneg("P_grid", W)
+        self.Q_grid = free("Q_grid", W)
+        self.u = nonneg("u", W, N)
+        self.P_flow = free("P_flow", W, L)
+        self.Q_flow = free("Q_flow", W, L)
 
     def dispatch(self, site: Site, served: Flags | None = None) -> Dispatch:
         """The solution as arrays, cleaned of solver noise."""

@@ -86,9 +86,8 @@ def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
     b = site.batteries
     tolerance = power_tolerance_kw(site, data)
     net_kw = d.charge_kw - d.discharge_kw
-    physics = data.physics
-    kept_kw = 0.0 if physics is None else physics.headroom_kw
-    room_kw = b.p_max_kw if physics is None else data.active_max_kw(b)
+    kept_kw = data.physics.headroom_kw if data.physics else 0.0
+    room_kw = data.active_max_kw(b) if data.physics else b.p_max_kw
     beyond = power_beyond_kw(b, d.charge_kw, d.discharge_kw, d.batt_q_kvar)
     return {
         "battery power": _most(tolerance, beyond["power"]),
@@ -102,7 +101,7 @@ def _energy(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """States of charge: where they begin, how they move, their limits."""
     b = site.batteries
     moved = data.soc_path(site, d.charge_kw, d.discharge_kw)[1:]
-    reserve = 0.0 if data.physics is None else data.physics.soc_reserve
+    reserve = data.physics.soc_reserve if data.physics else 0.0
     return {
         "state of charge": _most(
             SOC_ROUNDING, np.abs(d.soc[0] - data.soc), np.abs(d.soc[1:] - moved)
@@ -172,7 +171,7 @@ def _flows(site: Site, data: WindowData, d: Dispatch) -> tuple[Floats, Floats]:
 def _held(site: Site, data: WindowData) -> tuple[Wholes, Floats]:
     """Bus that holds the voltage in each step, and its squared voltage, (W,) each."""
     net = site.network
-    held = np.zeros(data.n_steps, dtype=int) if data.physics is None else data.physics.reference
+    held = data.physics.reference if data.physics else np.zeros(data.n_steps, dtype=int)
     return held, net.u_pu2(net.held_pu)[held]
 
 
@@ -252,7 +251,7 @@ def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
 def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Voltages by phase, and the former's phases."""
     phased = data.phased
-    if phased is None:
+    if not phased:
         return {}
     model = phased_model(site)
     p_kw, q_kvar = model.drawn(data, d)

@@ -28,7 +28,6 @@ from vppres.solve.certificate import (
     cost_gap_gbp,
 )
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
-from vppres.solve.direct import solve_by_highs
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.limits import run_within_limits
@@ -39,7 +38,7 @@ from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, with_more_room
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import run, run_conic
+from vppres.solve.solvers import NO_ANSWER, run, run_conic, solve_by_highs
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
 
@@ -59,10 +58,6 @@ to have an inside at all."""
 SERVICE_HELD_REL = 1e-7
 """The same of what weighs as much as service: curtailment, and the page's own term. As much again
 is what interior points may miss it by."""
-
-
-NO_TIME = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
-"""End of a solve that there is no time for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +147,7 @@ def _ways(
         found = _with_turns(task, before)
         yield found and carried(task, found, tie_breakers)
         return
-    elif fleet and not task.own_in_network:
+    elif fleet and not task.sheet.statement.minds_network:
         found = cheapest(task, served, modes_later=before is not None)
         if before is not None and task.certificate.wasteful:
             found = _with_turns(task, before) or cheapest(task, served)
@@ -168,11 +163,13 @@ def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
-    if before is None or len(task.site.batteries) == 0 or task.data.both_ways_earn:
+    data = task.data
+    prices = data.price_gbp_per_kwh, data.grid_limit_kw
+    both_ways = data.export and data.export.earns_both_ways(*prices)
+    if before is None or len(task.site.batteries) == 0 or both_ways:
         return None
-    sheet = sheet_of(task.cache, task.data)
-    known = sheet.statement.held(task.data, before).values
-    switched = {name: np.asarray(known[name]) for name in sheet.own_whole if name in known}
+    known = task.sheet.statement.held(task.data, before).values
+    switched = {name: np.asarray(known[name]) for name in task.sheet.own_whole if name in known}
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
     return cheapest(task, before.served, modes=turns | switched)
 
@@ -204,7 +201,9 @@ def cheapest_by_rows(
     if not fits:  # batteries must take turns
         return outcome, None
     found = Candidate.of(site, data, dispatch, 0.0, in_network=False)
-    return outcome, carried(task, found, *ways_of_rows(task))
+    # The tie-breakers of a large window take long.
+    plain = task.is_large and not task.by_phase
+    return outcome, carried(task, found, *((least_reactive_power,) if plain else ()))
 
 
 def cheapest(
@@ -291,7 +290,7 @@ class CostLevel:
             return attempt
         netted, fits = net_modes(site, self.data, attempt.dispatch)
         export = self.data.export
-        stands = export is None or export.stands_netted(
+        stands = not export or export.stands_netted(
             self.data.price_gbp_per_kwh, netted, attempt.both_kw, site.dt_h
         )
         if fits and stands:
@@ -325,7 +324,7 @@ class CostLevel:
         """
         task, data = self.task, self.data
         if self.deadline.passed:
-            return Attempt(NO_TIME, None)
+            return Attempt(NO_ANSWER, None)
         conic = form.network and form.exclusivity == "relaxed"
         if conic and sheet_of(task.cache, data).own_whole:
             conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
@@ -379,16 +378,10 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
         if carriage is None:
             continue
         # The check knows the paper's families, and none that the page changes.
-        if task.changed or not broken(task.site, found.data, carriage[0]):
+        if task.sheet.statement.changed or not broken(task.site, found.data, carriage[0]):
             return found.carried_by(task.site, *carriage)
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
     return None
-
-
-def ways_of_rows(task: WindowTask) -> tuple[Carrier, ...]:
-    """Ways of a candidate whose limits were rows: the tie-breakers of a large window take long."""
-    plain = task.is_large and not task.by_phase
-    return (least_reactive_power,) if plain else ()
 
 
 def settle(task: WindowTask) -> None:
@@ -411,7 +404,7 @@ def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Ca
     """
     site, deadline, dispatch = task.site, task.answer_by(), found.dispatch
     if deadline.passed:
-        task.certificate.note("tie_breakers", NO_TIME)
+        task.certificate.note("tie_breakers", NO_ANSWER)
         return None
     # More is curtailed at most by what is worth a share of the window's gap.
     worth = site.weights.lambda_curt

@@ -105,9 +105,8 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     What follows from them for sums and for active power stays.
     """
     sheet = found.sheet
-    families = sheet.statement.families
     left_out = sheet.statement.network_letters
-    kept = [n for n in names if not left_out & {x.name() for x in families[n].variables()}]
+    kept = [name for name in names if not left_out & sheet.statement.letters_of(name)]
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
     found = replace(found, parts=(*found.parts, total_balance(sheet)))
@@ -173,17 +172,6 @@ def sheet_for(cache: ModelCache, n_steps: int, beyond: Beyond) -> Sheet:
 def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, ...]) -> Sheet:
     """The compiled statement of the page as it is."""
     return Sheet(site, n_steps, beyond)
-
-
-def own_of(cache: ModelCache, data: WindowData) -> tuple[str, ...]:
-    """How a window's page differs from the paper's: families by name, ``own`` for a term of F."""
-    statement = sheet_of(cache, data).statement
-    return statement.own + statement.changed
-
-
-def by_phase(cache: ModelCache, data: WindowData) -> bool:
-    """Whether a window's dispatches in the network come from rows of phases."""
-    return data.phased is not None and not own_of(cache, data)
 
 
 def window_problem(

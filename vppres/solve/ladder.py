@@ -40,7 +40,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
-from vppres.solve.forms import by_phase, own_of
+from vppres.solve.forms import sheet_of
 from vppres.solve.levels import service_then_cost
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import (
@@ -185,7 +185,7 @@ class WindowSolver:
         and stays if it breaks none of the tighter limits. With rows of phases a schedule gets them
         only here, and the last part of the time is theirs.
         """
-        settles = by_phase(self.cache, data)
+        settles = bool(data.phased) and not self._differs(data)
         limits = self.limits.at_most(deadline.left_s)
         found = self._decided(data, limits.within(1.0 - NETWORK_RESERVE) if settles else limits)
         found = self._sooner(data, found, deadline)
@@ -221,13 +221,17 @@ class WindowSolver:
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """The best supply schedule of a window."""
-        if self.method != "decomposed" or own_of(self.cache, data):
+        if self.method != "decomposed" or self._differs(data):
             return self._solve(data, limits)
         if data.limits_time_off:
             return solve_with_limits(data, limits, self._decided, self._solve)
         if falls_apart(self.site, data):
             return solve_apart(data, limits, self._solve)
         return self._solve(data, limits)
+
+    def _differs(self, data: WindowData) -> bool:
+        """Whether the page differs from the paper's."""
+        return bool(sheet_of(self.cache, data).statement.differs)
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
@@ -388,7 +392,7 @@ def worth_everyone(task: WindowTask) -> bool:
 
     Not with your own families or term, which may not want all customers.
     """
-    if task.minds_service:
+    if task.sheet.statement.minds_service:
         return False
     data = task.data
     if (data.grid_limit_kw > 0.0).all() and data.parts.whole:
@@ -406,7 +410,8 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
     data = task.data
     sunny = (data.pv_kw > 0.0).any(axis=1)
     matched = task.site.batteries.idle and bool((data.dark & sunny).any())
-    fleets = () if matched or task.minds_service else fleets_of(data)
+    by_levels = not (matched or task.sheet.statement.minds_service)
+    fleets = fleets_of(data) if by_levels else ()
     return [*(partial(_by_levels, task, lumped) for lumped in fleets), partial(all_terms, task)]
 
 
@@ -427,11 +432,6 @@ def worth_an_answer(task: WindowTask) -> bool:
     return not (known.answered or known.nothing_to_find or decided)
 
 
-def compiles_nothing(task: WindowTask) -> bool:
-    """Whether the window is a huge one that was decided by arrays alone."""
-    return task.is_huge and task.certificate.ran("network_service")
-
-
 def worth_the_whole(task: WindowTask) -> bool:
     """Whether the whole problem is worth its time: not in a large window known in the network.
 
@@ -439,5 +439,6 @@ def worth_the_whole(task: WindowTask) -> bool:
     In a huge one it cannot even be compiled.
     """
     known = task.certificate
-    decided = known.answered and known.ran("network_service") and task.is_large
-    return task.goes_on and not (decided or compiles_nothing(task))
+    decided = known.ran("network_service")
+    enough = task.is_huge or (known.answered and task.is_large)
+    return task.goes_on and not (decided and enough)

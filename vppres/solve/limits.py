@@ -75,7 +75,7 @@ def limits_of(site: Site, data: WindowData, problem: Selected) -> Limits | None:
 
     None where the window has none, and where the problem has no network.
     """
-    if data.phased is not None:
+    if data.phased:
         return PhaseLimits(site, data, problem)
     stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
     limited = len(data.flow_max_kva) and not stated
@@ -99,7 +99,7 @@ def run_within_limits(
     ``rows`` then, and their duals behind the problem's own.
     """
     solve = solve or partial(run_conic, problem)
-    if data.phased is None and not len(data.flow_max_kva):
+    if not data.phased and not len(data.flow_max_kva):
         return solve(time_s)
     deadline = Deadline(time_s)
     problem.compile()

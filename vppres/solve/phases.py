@@ -86,7 +86,7 @@ class PhaseLimits:
         self.model = phased_model(site)
         self.data = data
         self.drawn = drawn_by_assets(self.model, data, problem)
-        self.phased = data.require_phased()
+        self.phased = data.phased
         self.limited = self.model.limits_at(data, lit_steps(data))
         self.source = np.maximum(self.model.sources(data), GRID)
         self.formed = self.model.formed(data)
@@ -248,7 +248,7 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     These are rows of its next problem from the start.
     """
     phased = data.phased
-    if phased is None:
+    if not phased:
         return data
     model = phased_model(site)
     drawn = model.drawn(data, dispatch)
@@ -265,5 +265,5 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
 
 def with_more_room(data: WindowData) -> WindowData:
     """The window with a little more room on the former's phases, if it has any."""
-    phased = data.require_phased()
+    phased = data.phased
     return replace(data, phased=replace(phased, room_kva=(1.0 + MORE_ROOM) * phased.room_kva))

@@ -95,17 +95,15 @@ class Program:
     upper: Floats
     integer: Wholes  #: positions of the columns that are whole numbers
 
-    def with_rows(self, rows: sp.csc_array, lower: Floats) -> Program:
-        """The program with rows ``rows @ x >= lower`` more."""
-        return self.with_range(rows, lower, np.full(len(lower), np.inf))
-
-    def with_range(self, rows: sp.csc_array, lower: Floats, upper: Floats) -> Program:
+    def with_rows(
+        self, rows: sp.csc_array, lower: Floats, upper: Floats | float = np.inf
+    ) -> Program:
         """The program with rows ``lower <= rows @ x <= upper`` more."""
         return replace(
             self,
             rows=stacked(self.rows, rows),
             lower=np.append(self.lower, lower),
-            upper=np.append(self.upper, upper),
+            upper=np.append(self.upper, np.broadcast_to(upper, lower.shape)),
         )
 
     def priced(self, prices: Floats) -> tuple[float, Floats]:
@@ -134,10 +132,6 @@ class Program:
         """Prices of rows, without those of a sign that a one-sided row forbids."""
         prices = np.where(np.isfinite(self.lower), prices, np.minimum(prices, 0.0))
         return np.where(np.isfinite(self.upper), prices, np.maximum(prices, 0.0))
-
-    def by_shares(self) -> Program:
-        """The program without whole numbers."""
-        return replace(self, integer=np.arange(0))
 
     def with_held(self, columns: Wholes, values: Floats | Flags) -> Program:
         """The program with some columns held at their values, in the same shape."""
@@ -284,7 +278,7 @@ def with_sums(program: Program, groups: Sequence[Wholes]) -> Program:
         x_upper=np.append(program.x_upper, sizes),
         rows=sp.csc_array(sp.hstack([program.rows, wider])),
         integer=np.append(program.integer, sums),
-    ).with_range(sp.csc_array(equal), zero, zero)
+    ).with_rows(sp.csc_array(equal), zero, zero)
 
 
 def with_limits_of_columns(program: Program) -> tuple[Program, Flags]:

@@ -453,7 +453,8 @@ class Selected:
             # Limits are the first rows, and so their letters come before the others.
             in_terms = {name for term, _ in selection.terms for name in term.letters}
             first = [n for n in letters if n in in_terms or n in selection.squares]
-            limited = [n for n in letters if n not in first and np.isfinite(self._low(n)).any()]
+            limited = [n for n in letters if n not in first]
+            limited = [n for n in limited if np.isfinite(self._limits(n)[0]).any()]
             free = [n for n in letters if n not in first and n not in limited]
             letters = [*first, *limited, *free]
         places = [sheet.columns[name] for name in (*letters, *held)]
@@ -469,9 +470,6 @@ class Selected:
         self.whole = np.concatenate(
             [np.zeros(0, dtype=np.int64), *(_flat(self.at(name)) for name in whole)]
         )
-
-    def _low(self, name: str) -> Floats:
-        return self._limits(name)[0]
 
     def _limits(self, name: str) -> tuple[Floats, Floats]:
         """Limits of a letter's columns."""
@@ -531,9 +529,8 @@ class Selected:
     def entries(self) -> int:
         """Numbers that it has as columns and in rows, before it is composed."""
         statement = self.sheet.statement
-        used = [{x.name() for x in c.variables()} for c in statement.families.values()]
-        rows = zip(statement.families.values(), used, strict=True)
-        own = sum(int(c.size) for c, letters in rows if not letters & self.without)
+        families = statement.families.items()
+        own = sum(int(c.size) for n, c in families if not statement.letters_of(n) & self.without)
         kept = (x for name, x in statement.letters.items() if name not in self.without)
         return own + sum(int(x.size) for x in kept)
 

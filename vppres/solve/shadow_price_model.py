@@ -91,11 +91,10 @@ class ShadowPriceModel(Selected):
     def _kept(self, sheet: Sheet) -> list[str]:
         """Families, of a feeder with phases without the letters of its tree."""
         statement, names = sheet.statement, in_order(sheet)
-        if not self.site.phases or statement.own or statement.changed:
+        if not self.site.phases or statement.differs:
             return names
         gone = VOLTAGES if self.lines_out else VOLTAGES | FLOWS
-        used = {n: {x.name() for x in statement.families[n].variables()} for n in names}
-        return [name for name in names if not used[name] & gone]
+        return [name for name in names if not statement.letters_of(name) & gone]
 
     def price(self, data: WindowData, held: FixedDecisions, priced: PricedTerms) -> None:
         """Write a window's data, and what is held and priced."""

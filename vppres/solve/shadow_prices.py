@@ -199,7 +199,7 @@ def _of_phases(model: ShadowPriceModel) -> dict[str, Any]:
     phased = phased_model(model.site)
     source = int(phased.sources(model.data)[0])
     own = slice(len(phased.supplies[max(source, GRID)].forms))
-    room_kva = model.data.require_phased().room_kva[0, own]
+    room_kva = model.data.phased.room_kva[0, own]
     duals, costs = _by_side(model)
     of_former = costs[OF_FORMER][own].swapaxes(0, 1)
     of_rating = costs[OF_RATING].swapaxes(0, 1)
@@ -230,7 +230,7 @@ def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floa
     assert model.data is not None
     phased = phased_model(model.site)
     n_buses = model.site.feeder.n_buses
-    n_former = model.data.require_phased().room_kva.shape[1]
+    n_former = model.data.phased.room_kva.shape[1]
     n_rated = len(phased.rated_kva)
     sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: n_former, OF_RATING: n_rated}
     assets = len(phased.at_bus_of_assets)

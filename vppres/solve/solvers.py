@@ -1,23 +1,27 @@
-"""The table of solvers: what each can do, how it takes limits, how its bound is read."""
+"""The table of solvers, and how they are asked: each way maps its end to a status honestly.
+
+HiGHS and Clarabel get the numbers of a selection as they are; other solvers are asked by cvxpy.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import clarabel
 import cvxpy as cp
 import numpy as np
+import scipy.sparse as sp
 
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.solve.compiled import COMPILER
-from vppres.solve.deadline import LEAST_S, Deadline
-from vppres.solve.direct import solve_by_clarabel, solve_by_highs
-from vppres.solve.programs import DIRECT
+from vppres.solve.deadline import LEAST_S, Deadline, Stopwatch
+from vppres.solve.programs import DIRECT, ProgramSolution, begin_with, program_of, stacked
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 
@@ -25,19 +29,17 @@ INTERIOR_POINTS = "clarabel"
 """Solver of all continuous problems with cones or squares, whichever solver is chosen: those of the
 table are for binaries, and HiGHS takes no cones."""
 
+LARGEST_FACTOR = 1e6
+"""Largest factor in an objective that interior points get as it is: in strict order they are up to
+1e11, and from 1e9 on Clarabel calls problems unbounded that have a solution."""
+
 COMPILE_S = 0.04
 COMPILE_S_PER_ENTRY = 5e-6
 """What compiling takes: 0.02 to 0.04 s for a small problem of any kind, and 1 to 5 µs for each
 number that a large one has as a variable or in a constraint, with cones or without."""
 
-
-@dataclass(frozen=True)
-class CvxpyResult:
-    """How a solve by way of cvxpy ended."""
-
-    word: str  #: cvxpy's word for it
-    stats: Any  #: the solver's own figures
-    has_values: bool  #: whether its variables got values
+NO_ANSWER = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+"""End of a solve that there was no time for."""
 
 
 class Interface(NamedTuple):
@@ -45,10 +47,10 @@ class Interface(NamedTuple):
 
     #: ``(absolute gap, seconds) -> options`` of the solver.
     options: Callable[[float, float], Mapping[str, Any]]
-    #: ``answer -> value - bound`` in the solver's own (minimising) sense.
-    slack: Callable[[CvxpyResult], float]
-    #: ``answer -> Status`` for answers that cvxpy does not call optimal.
-    ended: Callable[[CvxpyResult], Status]
+    #: ``solved problem -> value - bound`` in the solver's own (minimising) sense.
+    slack: Callable[[cp.Problem], float]
+    #: ``solved problem -> Status`` for ends that cvxpy does not call optimal.
+    ended: Callable[[cp.Problem], Status]
 
 
 @dataclass(frozen=True)
@@ -75,20 +77,17 @@ def _installed() -> frozenset[str]:
     return frozenset(cp.installed_solvers())
 
 
-def _scip_slack(answer: CvxpyResult) -> float:
-    model = answer.stats["model"]
+def _scip_slack(solved: cp.Problem) -> float:
+    model = solved.solver_stats.extra_stats["model"]
     return float(model.getPrimalbound() - model.getDualbound())
 
 
-def _scip_ended(answer: CvxpyResult) -> Status:
-    model = answer.stats["model"]
+def _scip_ended(solved: cp.Problem) -> Status:
+    model = solved.solver_stats.extra_stats["model"]
     if model.getNSols() == 0:
         return Status.NO_ANSWER
-    return {
-        "gaplimit": Status.OPTIMAL,
-        "optimal": Status.OPTIMAL,
-        "timelimit": Status.TIME_LIMIT,
-    }.get(model.getStatus(), Status.INACCURATE)
+    ends = {"gaplimit": "optimal", "optimal": "optimal", "timelimit": "time_limit"}
+    return Status(ends.get(model.getStatus(), "inaccurate"))
 
 
 def _scip_options(gap_abs: float, time_s: float) -> Mapping[str, Any]:
@@ -156,140 +155,86 @@ def run(
     The time limit holds for compiling too. HiGHS gets ``more`` options and begins with the supply
     schedule ``first``; others do without.
     """
-    if spec.interface is not None:
-        return run_by_cvxpy(problem, spec, gap_abs, time_s, scale)
     deadline = Deadline(time_s)
     if not compiled_in_time(problem, deadline):
-        return Outcome(Status.NO_ANSWER, np.nan, np.nan, deadline.spent_s, spec.name)
-    found = solve_by_highs(problem, deadline, gap_abs * scale, more, first)
+        return replace(NO_ANSWER, solve_s=deadline.spent_s, solver=spec.name)
+    if spec.interface is None:
+        found = solve_by_highs(problem, deadline, gap_abs * scale, more, first)
+    else:
+        asked, x = as_cvxpy(problem)
+        found = run_by_cvxpy(asked, spec, gap_abs * scale, deadline.left_s)
+        if x.value is not None:
+            problem.put(np.asarray(x.value, dtype=float))
     value, bound = found.value / scale, found.bound / scale
     return replace(found, value=value, bound=bound, solve_s=deadline.spent_s)
 
 
-def run_by_cvxpy(
-    problem: cp.Problem | Selected,
-    spec: SolverSpec,
-    gap_abs: float,
-    time_s: float,
-    scale: float = 1.0,
-) -> Outcome:
-    """Solve by way of cvxpy."""
-    interface = spec.interface
-    assert interface is not None
-    options = partial(interface.options, gap_abs * scale)
-    deadline = Deadline(time_s)
-    nothing = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0, spec.name)
-    selected = None
-    if isinstance(problem, Selected):
-        selected = problem
-        if not compiled_in_time(selected, deadline):
-            return replace(nothing, solve_s=deadline.spent_s)
-        problem, x = as_cvxpy(selected)
-    try:
-        answer = _by_cvxpy(problem, spec.cvxpy_name, deadline, options)
-    except cp.SolverError:
-        return replace(nothing, status=Status.NUMERICAL, solve_s=deadline.spent_s)
-    if selected is not None and answer is not None and answer.has_values:
-        selected.put(np.asarray(x.value, dtype=float))
-    status = Status.NO_ANSWER if answer is None else _status(answer, interface)
-    nothing = replace(nothing, status=status, solve_s=deadline.spent_s)
-    if answer is None or not status.has_answer:
-        return nothing
-    value = float(problem.objective.value)
-    sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
-    bound = value + sign * max(interface.slack(answer), 0.0)
-    return replace(nothing, value=value / scale, bound=bound / scale)
-
-
-def _status(answer: CvxpyResult, interface: Interface) -> Status:
-    """Status of an answer."""
-    if answer.word == cp.OPTIMAL:
-        return Status.OPTIMAL
-    if answer.word in (
-        cp.INFEASIBLE,
-        cp.INFEASIBLE_INACCURATE,
-        cp.settings.INFEASIBLE_OR_UNBOUNDED,
-    ):
-        return Status.INFEASIBLE
-    if answer.word in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
-        return Status.UNBOUNDED
-    if answer.word in (cp.USER_LIMIT, cp.OPTIMAL_INACCURATE) or answer.stats is not None:
-        return interface.ended(answer)
-    return Status.NUMERICAL
-
-
-def run_conic(problem: Selected, time_s: float, scale: float = 1.0) -> Outcome:
-    """Solve a continuous problem with cones or a quadratic objective by interior points.
-
-    ``scale`` is a factor in the problem's objective; the value is meant without it. The time limit
-    holds for compiling too.
-    """
-    deadline = Deadline(time_s)
-    # Refinement costs as many iterations again and gains digits that are not used, unless they
-    # lack.
-    status = _interior_points(problem, deadline, refined=False)
-    if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
-        status = _interior_points(problem, deadline, refined=True)
-    value = problem.value / scale if status.has_answer else np.nan
-    return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
-
-
-def _interior_points(problem: Selected, deadline: Deadline, refined: bool) -> Status:
-    """Status of a solve by interior points, with or without refined steps."""
-    if not compiled_in_time(problem, deadline):
-        return Status.NO_ANSWER
-    left_s = max(deadline.left_s, LEAST_S)
-    word = solve_by_clarabel(
-        problem, {"time_limit": left_s, "iterative_refinement_enable": refined}
-    )
-    return {
-        cp.OPTIMAL: Status.OPTIMAL,
-        cp.OPTIMAL_INACCURATE: Status.INACCURATE,
-        cp.INFEASIBLE: Status.INFEASIBLE,
-        cp.UNBOUNDED: Status.UNBOUNDED,
-        cp.USER_LIMIT: Status.NO_ANSWER,
-    }.get(word, Status.NUMERICAL)
-
-
-def compiled_in_time(problem: Selected, deadline: Deadline) -> bool:
-    """Compile a problem; whether that was done in time. What would take longer is not begun."""
-    if deadline.left_s < _compile_s(problem):
-        return False
-    problem.compile()
-    return not deadline.passed
-
-
-def _by_cvxpy(
-    problem: cp.Problem,
-    solver: str,
+def solve_by_highs(
+    selected: Selected,
     deadline: Deadline,
-    options: Callable[[float], Mapping[str, Any]],
-) -> CvxpyResult | None:
-    """Ask in what compiling leaves of the time; None where it left nothing.
+    gap_abs: float = 0.0,
+    more: Mapping[str, Any] = MappingProxyType({}),
+    first: Flags | None = None,
+    held: Mapping[str, Floats] = MappingProxyType({}),
+) -> Outcome:
+    """Solve a problem without cones, with options ``more`` of HiGHS.
 
-    These are the steps of ``Problem.solve``, which hands a solver the whole limit however long
-    compiling took.
+    A search begins with the supply schedule ``first``. Letters of ``held`` have their values.
 
     Raises
     ------
-    cp.SolverError
-        If the solver gave up.
+    NumericalError
+        If a coefficient is not finite.
     """
-    if deadline.left_s < _compile_s(problem):
-        return None
-    data, chain, inverse = problem.get_problem_data(
-        solver, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
-    )
-    if deadline.passed:
-        return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": the status says it
-        solution = chain.solve_via_data(
-            problem, data, False, False, dict(options(max(deadline.left_s, LEAST_S)))
-        )
-        problem.unpack_results(solution, chain, inverse)
-    stats = None if problem.solver_stats is None else problem.solver_stats.extra_stats
-    return CvxpyResult(problem.status, stats, problem.variables()[0].value is not None)
+    watch = Stopwatch()
+    program = program_of(selected)
+    if selected.added is not None:
+        matrix, least = selected.added
+        program = program.with_rows(sp.csc_array(selected.shown(matrix)), least)
+    for name, values in held.items():
+        program = program.with_held(selected.at(name), values)
+    solver = program.loaded(gap_abs, more=more)
+    if first is not None:
+        begin_with(solver, selected.at("x_served"), first)
+    found = ProgramSolution.of(solver, deadline)
+    if not found.status.has_answer:
+        return Outcome(found.status, np.nan, np.nan, watch.spent_s, DIRECT)
+    selected.put(found.x)
+    sign = -1.0 if selected.maximises else 1.0
+    value, bound = (sign * (each + selected.offset) for each in (found.value, found.bound))
+    return Outcome(found.status, value, bound, watch.spent_s, DIRECT)
+
+
+def run_by_cvxpy(problem: cp.Problem, spec: SolverSpec, gap_abs: float, time_s: float) -> Outcome:
+    """Solve a problem of cvxpy, which does not count its own time for compiling."""
+    interface = spec.interface
+    assert interface is not None
+    watch = Stopwatch()
+    options = interface.options(gap_abs, max(time_s, LEAST_S))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": the status says it
+            problem.solve(spec.cvxpy_name, canon_backend=COMPILER, **options)
+        status = ENDS.get(problem.status) or interface.ended(problem)
+    except cp.SolverError:
+        status = Status.NUMERICAL
+    if not status.has_answer:
+        return Outcome(status, np.nan, np.nan, watch.spent_s, spec.name)
+    value = float(problem.objective.value)
+    sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
+    bound = value + sign * max(interface.slack(problem), 0.0)
+    return Outcome(status, value, bound, watch.spent_s, spec.name)
+
+
+ENDS = {
+    cp.OPTIMAL: Status.OPTIMAL,
+    cp.INFEASIBLE: Status.INFEASIBLE,
+    cp.INFEASIBLE_INACCURATE: Status.INFEASIBLE,
+    cp.settings.INFEASIBLE_OR_UNBOUNDED: Status.INFEASIBLE,
+    cp.UNBOUNDED: Status.UNBOUNDED,
+    cp.UNBOUNDED_INACCURATE: Status.UNBOUNDED,
+}
+"""Statuses by cvxpy's words, those after which a solver need not be asked how it ended."""
 
 
 def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
@@ -318,12 +263,80 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     return cp.Problem(sense, rows), x
 
 
-def _compile_s(problem: cp.Problem | Selected) -> float:
-    """Time for compiling a problem, in seconds; 0 for one that is compiled."""
-    if isinstance(problem, Selected):
-        return 0.0 if problem.is_compiled else COMPILE_S + COMPILE_S_PER_ENTRY * problem.entries
-    if problem.compilation_time is not None:
-        return 0.0
-    parts = [*problem.variables(), *problem.constraints]
-    entries = float(sum(part.size for part in parts))
-    return COMPILE_S + COMPILE_S_PER_ENTRY * entries
+def run_conic(problem: Selected, time_s: float, scale: float = 1.0) -> Outcome:
+    """Solve a continuous problem with cones or a quadratic objective by interior points.
+
+    ``scale`` is a factor in the problem's objective; the value is meant without it. The time limit
+    holds for compiling too.
+    """
+    deadline = Deadline(time_s)
+    # Refinement costs as many iterations again and gains digits that are not used, unless they
+    # lack.
+    status = _interior_points(problem, deadline, refined=False)
+    if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
+        status = _interior_points(problem, deadline, refined=True)
+    value = problem.value / scale if status.has_answer else np.nan
+    return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
+
+
+def _interior_points(problem: Selected, deadline: Deadline, refined: bool) -> Status:
+    """Status of a solve by interior points, with or without refined steps."""
+    if not compiled_in_time(problem, deadline):
+        return Status.NO_ANSWER
+    left_s = max(deadline.left_s, LEAST_S)
+    ended = solve_by_clarabel(problem, time_limit=left_s, iterative_refinement_enable=refined)
+    return OF_CLARABEL.get(ended, Status.NUMERICAL)
+
+
+OF_CLARABEL = {
+    "Solved": Status.OPTIMAL,
+    "AlmostSolved": Status.INACCURATE,
+    "PrimalInfeasible": Status.INFEASIBLE,
+    "DualInfeasible": Status.UNBOUNDED,
+    "MaxIterations": Status.NO_ANSWER,
+    "MaxTime": Status.NO_ANSWER,
+}
+"""Statuses by Clarabel's words; after another it gave up."""
+
+
+def solve_by_clarabel(selected: Selected, **options: Any) -> str:
+    """Solve a continuous problem with cones; Clarabel's word for how it ended.
+
+    Raises
+    ------
+    NumericalError
+        If a coefficient is not finite.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    for name, value in options.items():
+        setattr(settings, name, value)
+    numbers, dims = selected.numbers(), selected.dims
+    rows, limit = numbers.rows, numbers.limit
+    cones = [clarabel.ZeroConeT(dims.zero)] if dims.zero else []
+    cones += [clarabel.NonnegativeConeT(dims.nonneg)] if dims.nonneg else []
+    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
+    if selected.added is not None:
+        matrix, least = selected.added
+        more = sp.csc_array(-selected.shown(matrix))
+        rows, limit = stacked(rows, more), np.append(limit, -least)
+        cones.append(clarabel.NonnegativeConeT(len(least)))
+    size = max(float(np.abs(numbers.cost).max(initial=0.0)) / LARGEST_FACTOR, 1.0)
+    squares, cost = numbers.squares / size, numbers.cost / size
+    solver = clarabel.DefaultSolver(squares, cost, rows, limit, cones, settings)
+    found = solver.solve()
+    ended = str(found.status)
+    if ended in ("Solved", "AlmostSolved", "MaxIterations", "MaxTime"):
+        x: Floats = np.array(found.x)
+        selected.put(x)
+        selected.duals = np.array(found.z) * size
+    return ended
+
+
+def compiled_in_time(problem: Selected, deadline: Deadline) -> bool:
+    """Compile a problem; whether that was done in time. What would take longer is not begun."""
+    needed_s = 0.0 if problem.is_compiled else COMPILE_S + COMPILE_S_PER_ENTRY * problem.entries
+    if deadline.left_s < needed_s:
+        return False
+    problem.compile()
+    return not deadline.passed

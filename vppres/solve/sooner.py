@@ -17,14 +17,12 @@ from vppres.model.site import Site
 from vppres.model.terms import Terms
 from vppres.solve.compiled import Numbers
 from vppres.solve.deadline import Deadline
-from vppres.solve.direct import solve_by_highs
 from vppres.solve.dispatch import HELD_ABS, HELD_REL, SERVICE_HELD_REL
 from vppres.solve.fleet.all_terms import not_bounded
 from vppres.solve.fleet.masters import fleets_of, set_of
 from vppres.solve.fleet.relaxation import Fleet, FleetProblem, fleet_of
 from vppres.solve.programs import NODES, search_options
-from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import compiled_in_time
+from vppres.solve.solvers import NO_ANSWER, compiled_in_time, solve_by_highs
 from vppres.solve.task import WindowTask
 
 STAYS = 0.5
@@ -73,11 +71,14 @@ def is_settled(site: Site, data: WindowData, served: Flags) -> bool:
     by none of that weight in another such step.
     """
     limited = np.isfinite(data.grid_limit_kw)
-    if not data.asks_for_sooner or served[limited].all():
+    silent = data.physical or data.open_ended  # the paper is, on which of equal plans is taken
+    if not silent or served[limited].all():
         return True
     before = data.on_before
-    if before is not None and limited[0] and _swaps(before, served[0]):
-        return False
+    if before is not None and limited[0]:
+        now = served[0]
+        if (before & ~now).any() and (now & ~before).any():  # some go off, and others on
+            return False
     if site.batteries.idle:
         return True
     weight = site.customers.weight
@@ -91,11 +92,6 @@ def _put_off(served: Flags) -> bool:
     return bool(lacking.any() and served[np.argmax(lacking) + 1 :].any())
 
 
-def _swaps(before: Flags, served: Flags) -> bool:
-    """Whether a step switches some off and others on."""
-    return bool((before & ~served).any() and (served & ~before).any())
-
-
 def sooner(task: WindowTask, served: Flags, terms: Terms, deadline: Deadline) -> Iterator[Flags]:
     """Schedules of no less service and no more cost than one that serve sooner, by each fleet.
 
@@ -107,7 +103,7 @@ def sooner(task: WindowTask, served: Flags, terms: Terms, deadline: Deadline) ->
         fleet = fleet_of(task.cache, task.data, lumped)
         problem = task.cache.problem(Sooner, fleet=fleet)
         problem.write_equals(task.data, served, terms)
-        outcome = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
+        outcome = NO_ANSWER
         if compiled_in_time(problem, deadline):
             more = {**search_options(task.site, task.data), "mip_max_nodes": NODES}
             outcome = solve_by_highs(problem, deadline, more=more, first=served)

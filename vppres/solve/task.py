@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags
+from vppres.model.beyond_paper.stored_value import kept_range
 from vppres.model.data import WindowData
 from vppres.model.ratings import has_ratings
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
 from vppres.solve.deadline import Deadline
-from vppres.solve.forms import by_phase, own_of, sheet_of
+from vppres.solve.forms import sheet_of
 from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.selection import Sheet
 from vppres.solve.sizes import is_huge, is_large, is_wide
 from vppres.solve.solvers import SolverSpec
 
@@ -66,14 +68,19 @@ class WindowTask:
         return self.cache.site
 
     @cached_property
+    def sheet(self) -> Sheet:
+        """The compiled statement of the window."""
+        return sheet_of(self.cache, self.data)
+
+    @cached_property
     def own(self) -> tuple[str, ...]:
         """How the page differs from the paper's: families by name, ``own`` for a term of F."""
-        return own_of(self.cache, self.data)
+        return self.sheet.statement.differs
 
     @property
     def by_phase(self) -> bool:
         """Whether dispatches in the network come from rows of phases."""
-        return by_phase(self.cache, self.data)
+        return bool(self.data.phased) and not self.own
 
     @property
     def by_rows(self) -> bool:
@@ -83,28 +90,11 @@ class WindowTask:
         """
         return self.by_phase or (has_ratings(self.data) and not self.own)
 
-    @property
-    def changed(self) -> tuple[str, ...]:
-        """Families of the paper that the page lacks, or states in another way."""
-        return sheet_of(self.cache, self.data).statement.changed
-
-    @property
-    def own_in_network(self) -> bool:
-        """Whether any of them needs the network, or what follows from the paper may not hold."""
-        sheet = sheet_of(self.cache, self.data)
-        return bool(self.changed or sheet.statement.own_letters & sheet.statement.network_letters)
-
-    @property
-    def minds_service(self) -> bool:
-        """Whether what differs from the paper may ask for other service or import than it."""
-        apart = sheet_of(self.cache, self.data).statement.own_is_apart
-        return bool(self.own) and not apart
-
     @cached_property
     def everyone(self) -> float:
         """Service of all customers, in weighted customer hours, and the most of later."""
         now = float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
-        return now + self.data.kept_range(self.site)[1] if self.data.keeps_service else now
+        return now + kept_range(self.site, self.data)[1] if self.data.keeps_service else now
 
     @property
     def gap(self) -> float:

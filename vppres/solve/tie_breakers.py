@@ -64,15 +64,14 @@ class TieBreakers(Selected):
         self.site = site
         self.curtailing = curtailing
         self.moves = moves and len(site.batteries) > 0
-        paper = not (sheet.statement.own or sheet.statement.changed)
-        self.in_chains = bool(site.phases) and paper
+        self.in_chains = bool(site.phases) and not sheet.statement.differs
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""
         site = self.site
         named = sheet.statement.named
         # A page of your own may multiply by parameters what is put in otherwise.
-        of_paper = not (sheet.statement.own or sheet.statement.changed)
+        of_paper = not sheet.statement.differs
         puts_in = len(site.pv) > 0 and of_paper
         out = {
             *(BY_DATA if of_paper else ()),
@@ -87,7 +86,7 @@ class TieBreakers(Selected):
         for name in sorted(in_order(sheet), key=_rank):
             if chains is not None and name in BALANCES:
                 found = replace(found, parts=(*found.parts, chains.of_balance(sheet, name)))
-            elif chains is not None and "u" in _letters_of(sheet, name):
+            elif chains is not None and "u" in sheet.statement.letters_of(name):
                 pass  # no voltage of the tree has a limit
             elif name in DISCS:
                 found = self._disc(found, name, sides)
@@ -226,11 +225,6 @@ def squares_of(site: Site) -> dict[str, Floats]:
     scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
     terms = ((w.lambda_l, f4_squares(site)), (w.lambda_q, f5_squares(site)))
     return {name: scale * weight * of for weight, squares in terms for name, of in squares.items()}
-
-
-def _letters_of(sheet: Sheet, name: str) -> set[str]:
-    """Letters of a family."""
-    return {x.name() for x in sheet.statement.families[name].variables()}
 
 
 def _rank(name: str) -> int:

@@ -42,7 +42,7 @@ class ExportToGrid(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether the connection exports."""
-        return data.export is not None or None
+        return bool(data.export) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -74,14 +74,12 @@ class ExportToGrid(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        assert data.export is not None
         write(self.P_out_max, data.export_max_kw(site))
         write(self.sigma_dt, data.export.price_gbp_per_kwh * site.dt_h)
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Correction of the cost: exported energy earns its own price and not that of import."""
-        assert data.export is not None
         exported_kw = np.maximum(-dispatch.p_grid_kw, 0.0)
         each_gbp = data.price_gbp_per_kwh - data.export.price_gbp_per_kwh
         return {"f2": float(each_gbp @ exported_kw) * site.dt_h}
@@ -91,7 +89,6 @@ class ExportToGrid(Addition):
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
         """A step imports or exports: the most of one or the other."""
-        assert data.export is not None
         most_gbp = -data.export.price_gbp_per_kwh * data.export_max_kw(site) * site.dt_h
         return np.minimum(least_gbp, most_gbp), np.maximum(dearest_gbp, most_gbp)
 

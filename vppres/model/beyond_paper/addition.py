@@ -70,10 +70,13 @@ class Addition:
         """Key for which a problem is compiled; None for a window without the addition."""
         return True
 
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        """Make its variables and parameters, for the window of these variables."""
+
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Variables and parameters of the addition, for the window of these variables."""
-        return cls()
+        """The addition for the window of these variables."""
+        return cls(site, v, shape)
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """Expressions for :class:`vppres.model.variables.Parameters`; those added are summed."""

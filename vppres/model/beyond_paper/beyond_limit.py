@@ -8,8 +8,7 @@ and batteries charge first, and no customer is off for it. Other windows have no
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
@@ -27,27 +26,20 @@ WEIGHT = 2.0
 """Weight of a kWh beyond the limit, in kWh of curtailment."""
 
 
-@dataclass(frozen=True, eq=False)
 class BeyondLimit(Addition):
-    """Power beyond the limit of export over W steps."""
+    """Power that flows to the grid beyond its limit, and the most that nothing holds back, (W,)."""
 
-    P_beyond: cp.Variable  #: what flows to the grid beyond its limit, (W,)
-    P_beyond_max: cp.Parameter  #: the most of it that nothing can hold back, (W,)
-    dt_h: float
+    by_dispatch = ("P_beyond",)
 
-    by_dispatch: ClassVar[tuple[str, ...]] = ("P_beyond",)
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        self.P_beyond = cp.Variable(v.P_grid.size, name="P_beyond", nonneg=True)
+        self.P_beyond_max = cp.Parameter(v.P_grid.size, name="P_beyond_max", nonneg=True)
+        self.dt_h = site.dt_h
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there is any."""
         return bool(data.beyond_limit_kw.any()) or None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Power beyond the limit in a window."""
-        W = v.P_grid.size
-        letter = cp.Variable(W, name="P_beyond", nonneg=True)
-        return cls(letter, cp.Parameter(W, name="P_beyond_max", nonneg=True), site.dt_h)
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """A demand at the slack bus."""
@@ -69,7 +61,7 @@ class BeyondLimit(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Its weight; it earns nothing."""
         beyond_kw = beyond_limit_kw(site, data, dispatch)
-        paid = data.price_gbp_per_kwh if data.export is None else data.export.price_gbp_per_kwh
+        paid = data.price_gbp_per_kwh if not data.export else data.export.price_gbp_per_kwh
         return {
             "f2": float(paid @ beyond_kw) * site.dt_h,
             "f3": WEIGHT * float(beyond_kw.sum()) * site.dt_h,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -22,7 +21,6 @@ Own = tuple[SupplyKey, slice]
 """A supply, and the phases of a former among those of its sources."""
 
 
-@dataclass(frozen=True, eq=False)
 class FormerPhases(Addition):
     """Active power of each former within its rating on each phase, (W, 3) one after another.
 
@@ -33,44 +31,35 @@ class FormerPhases(Addition):
     PV systems and batteries may take off a phase.
     """
 
-    apart: ClassVar[bool] = True
-    for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
+    apart = True
+    for_network = ("former_phase_most", "former_phase_least")
 
-    formers: list[Own]
-    rest_kw: cp.Parameter
-    room_kw: cp.Parameter
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        assert isinstance(shape, tuple)
+        of_islands = ((None, ((0, former),)) for former in phased_model(site).formers)
+        self.formers: list[Own] = [
+            (key, slice(3 * at, 3 * at + 3))
+            for key in (*of_islands, *shape)
+            for at, (_, former) in enumerate(key[1])
+            if former
+        ]
+        size = (v.u.shape[0] * len(self.formers), 3)
+        self.rest_kw = cp.Parameter(size, name="former_rest_kw")
+        self.room_kw = cp.Parameter(size, name="former_room_kw")
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Supplies of parts in the window, None if nothing can form a step without grid."""
-        if data.phased is None:
+        if not data.phased:
             return None
         model = phased_model(site)
         if not (model.formers and model.formed(data).any()):
             return None
         return tuple(model.parts_in(data))
 
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Parameters of a window."""
-        assert isinstance(shape, tuple)
-        of_islands = ((None, ((0, former),)) for former in phased_model(site).formers)
-        formers = [
-            (key, slice(3 * at, 3 * at + 3))
-            for key in (*of_islands, *shape)
-            for at, (_, former) in enumerate(key[1])
-            if former
-        ]
-        size = (v.u.shape[0] * len(formers), 3)
-        return cls(
-            formers,
-            cp.Parameter(size, name="former_rest_kw"),
-            cp.Parameter(size, name="former_room_kw"),
-        )
-
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        phased = data.require_phased()
+        phased = data.phased
         ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva])
         model = phased_model(site)
         sources = model.sources(data)

@@ -8,14 +8,12 @@ instead, which is what the line would carry: 0 where it is out.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Flags, Wholes
+from vppres.core.arrays import Flags
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named, injected_and_drawn
 from vppres.model.data import WindowData
@@ -28,18 +26,29 @@ NO_REACTIVE_FLOW = "no_reactive_flow"
 """Its family of reactive power."""
 
 
-@dataclass(frozen=True, eq=False)
 class LinesOut(Addition):
-    """Lines that are out in some step of a window, and what may be dead in some."""
+    """Lines that are out in some step of a window, (K,), and what may be dead in some.
 
-    apart: ClassVar[bool] = True
-    for_network: ClassVar[tuple[str, ...]] = ("drawn_behind_line", "nothing_over_line")
+    ``out`` is 1 where a line is out, and ``P_over`` what it would carry: all that is drawn behind
+    it, (W, K). ``lit`` is 1 where those ``items`` are not dead that are so in some step, (W, n).
+    """
 
-    lines: Wholes  #: the lines, (K,)
-    out: cp.Parameter  #: 1 where a line is out, (W, K)
-    P_over: cp.Variable  #: what a line would carry: all that is drawn behind it, (W, K)
-    items: dict[str, Wholes]  #: customers, PV systems and batteries that are dead in some step
-    lit: dict[str, cp.Parameter]  #: 1 in steps in which each of these is not dead, (W, n) by name
+    apart = True
+    for_network = ("drawn_behind_line", "nothing_over_line")
+
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        assert isinstance(shape, tuple)
+        W = v.u.shape[0]
+        self.lines, buses = (np.array(each, dtype=int) for each in shape)
+        dead = np.isin(np.arange(site.network.n_buses), buses)
+        items = {name: np.flatnonzero(at_items(dead[None], place)) for name, place in _places(site)}
+        self.items = {name: which for name, which in items.items() if len(which)}
+        self.out = cp.Parameter((W, len(self.lines)), name="out", nonneg=True)
+        self.P_over = cp.Variable((W, len(self.lines)), name="P_over")
+        self.lit = {
+            name: cp.Parameter((W, len(which)), name=f"lit_{name}", nonneg=True)
+            for name, which in self.items.items()
+        }
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -48,27 +57,6 @@ class LinesOut(Addition):
             return None
         out, dead = data.parts.lines.any(axis=0), data.parts.dead.any(axis=0)
         return tuple(np.flatnonzero(out).tolist()), tuple(np.flatnonzero(dead).tolist())
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Letters and parameters of a window."""
-        assert isinstance(shape, tuple)
-        W = v.u.shape[0]
-        lines, buses = (np.array(each, dtype=int) for each in shape)
-        dead = np.isin(np.arange(site.network.n_buses), buses)
-        items = {name: np.flatnonzero(at_items(dead[None], place)) for name, place in _places(site)}
-        items = {name: which for name, which in items.items() if len(which)}
-        size = (W, len(lines))
-        return cls(
-            lines,
-            cp.Parameter(size, name="out", nonneg=True),
-            cp.Variable(size, name="P_over"),
-            items,
-            {
-                name: cp.Parameter((W, len(which)), name=f"lit_{name}", nonneg=True)
-                for name, which in items.items()
-            },
-        )
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """No flow over lines that are out; nothing served, given or taken in dead parts."""

@@ -152,7 +152,7 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
 def lit_steps(data: WindowData) -> Flags:
     """Steps in which anything can be served, generated or drawn, (W,)."""
     lit = data.load_kw.any(axis=1) | data.pv_kw.any(axis=1)
-    if data.drawn is not None:
+    if data.drawn:
         lit = lit | data.drawn.kw.any(axis=1) | data.drawn.kvar.any(axis=1)
     return np.asarray(lit, dtype=bool)
 
@@ -163,18 +163,17 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
     In an island losses are counted with a margin: what forms it has to have them, whatever else
     the next plan moves.
     """
-    old = data.require_physics()
+    old = data.physics
     margin = 1.0 + LOSS_MARGIN * data.lines_in_island
     sound = points.converged[:, None]
     drawn = data.drawn
     if network.draws or network.has_ratios:
         # In a blackout nothing is drawn or lost, and no voltage is too high, whatever a flow says.
         sound = sound & lit_steps(data)[:, None]
-    if drawn is not None:
+    if drawn:
         # Points that are not sound may have no voltage at all.
         new = drawn_at(network, np.where(sound, points.v_pu, 1.0), data.in_island)
         drawn = Drawn(np.where(sound, new.kw, drawn.kw), np.where(sound, new.kvar, drawn.kvar))
-    if drawn is not None:
         drawn = drawn.at(~data.parts.dead)
     physics = replace(
         old,

@@ -9,14 +9,13 @@ at zero: ``docs/decisions/physical-parameters.md``.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, fields
 from itertools import chain
-from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
+from vppres.core.errors import ModelError
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
@@ -29,7 +28,6 @@ from vppres.model.variables import Parameters, Variables
 _U_ANY = 4.0  # no limit on the grid's squared voltage while the grid holds it
 
 
-@dataclass(frozen=True, eq=False)
 class PhysicalMode(Addition):
     """Parameters of physical mode beyond :class:`vppres.model.variables.Parameters`, for W steps.
 
@@ -39,64 +37,42 @@ class PhysicalMode(Addition):
     limits less headroom.
     """
 
-    P_loss: cp.Parameter
-    Q_loss: cp.Parameter
-    held: cp.Parameter
-    u_root_min: cp.Parameter
-    u_root_max: cp.Parameter
-    P_room: cp.Parameter
-    S_room: cp.Parameter
-    SoC_min: cp.Parameter
+    replaces = ("voltage_slack",)
+    draws = True
 
-    replaces: ClassVar[tuple[str, ...]] = ("voltage_slack",)
-    draws: ClassVar[bool] = True
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        W, N = v.u.shape
+        B = len(site.batteries)
+        self.P_loss = cp.Parameter((W, N), name="P_loss", nonneg=True)
+        # A series capacitor gives reactive power where others lose it.
+        self.Q_loss = cp.Parameter((W, N), name="Q_loss")
+        self.held = cp.Parameter((W, len(holding_buses(site))), name="held", nonneg=True)
+        self.u_root_min = cp.Parameter(W, name="u_root_min", nonneg=True)
+        self.u_root_max = cp.Parameter(W, name="u_root_max", nonneg=True)
+        self.P_room = cp.Parameter((W, B), name="P_room", nonneg=True)
+        self.S_room = cp.Parameter((W, B), name="S_room", nonneg=True)
+        self.SoC_min = cp.Parameter((W, B), name="SoC_min", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether the window is physical."""
         return data.physical or None
 
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Parameters of a window."""
-        W = v.u.shape[0]
-        N = site.network.n_buses
-        B = len(site.batteries)
-        shapes = {
-            "P_loss": (W, N),
-            "Q_loss": (W, N),
-            "held": (W, len(holding_buses(site))),
-            "u_root_min": (W,),
-            "u_root_max": (W,),
-            "P_room": (W, B),
-            "S_room": (W, B),
-            "SoC_min": (W, B),
-        }
-        # A series capacitor gives reactive power where others lose it.
-        return cls(
-            **{
-                name: cp.Parameter(shape, name=name, nonneg=name != "Q_loss")
-                for name, shape in shapes.items()
-            }
-        )
-
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
-        physics = data.require_physics()
+        physics = data.physics
+        if not physics:
+            raise ModelError("A physical problem was filled with a window of the paper's mode.")
         net = site.network
         island = physics.reference > 0
-        values = {
-            "P_loss": at_far_ends(physics.loss_kw),
-            "Q_loss": at_far_ends(physics.loss_kvar),
-            "held": physics.reference[:, None] == holding_buses(site),
-            "u_root_min": np.where(island, net.v_min_pu**2, 0.0),
-            "u_root_max": np.where(island, net.v_max_pu**2, _U_ANY),
-            "P_room": data.active_max_kw(site.batteries),
-            "S_room": site.batteries.s_max_kva - physics.headroom_kw,
-            "SoC_min": data.soc_min(site.batteries),
-        }
-        for f in fields(self):
-            write(getattr(self, f.name), values[f.name])
+        write(self.P_loss, at_far_ends(physics.loss_kw))
+        write(self.Q_loss, at_far_ends(physics.loss_kvar))
+        write(self.held, physics.reference[:, None] == holding_buses(site))
+        write(self.u_root_min, np.where(island, net.v_min_pu**2, 0.0))
+        write(self.u_root_max, np.where(island, net.v_max_pu**2, _U_ANY))
+        write(self.P_room, data.active_max_kw(site.batteries))
+        write(self.S_room, site.batteries.s_max_kva - physics.headroom_kw)
+        write(self.SoC_min, data.soc_min(site.batteries))
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """Losses as a demand; ratings and lowest states of charge, if there are batteries."""
@@ -148,12 +124,10 @@ def taken_by_network(site: Site, data: WindowData) -> Drawn:
     """Power that the network takes at each bus: its own draw, and losses where lines end."""
     nothing = np.zeros((data.n_steps, site.network.n_buses))
     found = data.drawn or Drawn(nothing, nothing)
-    physics = data.physics
-    if physics is None:
+    if not data.physics:
         return found
-    return Drawn(
-        found.kw + at_far_ends(physics.loss_kw), found.kvar + at_far_ends(physics.loss_kvar)
-    )
+    lost = (at_far_ends(each) for each in (data.physics.loss_kw, data.physics.loss_kvar))
+    return Drawn(*(own + more for own, more in zip((found.kw, found.kvar), lost, strict=True)))
 
 
 def at_far_ends(loss: Floats) -> Floats:

@@ -7,8 +7,6 @@ need those of all lines, for their duals, so they alone state this family.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import Self
 
 import cvxpy as cp
 import numpy as np
@@ -24,24 +22,18 @@ from vppres.model.variables import Parameters, Variables
 FAMILY = "line_rating"
 
 
-@dataclass(frozen=True, eq=False)
 class LineRatings(Addition):
     """Largest apparent power of each line that has a rating, shape (W, rated lines)."""
 
-    lines: Wholes  #: lines with a rating
-    S_line: cp.Parameter  #: their largest flow
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        self.lines = rated_lines(site)
+        size = (v.P_flow.shape[0], len(self.lines))
+        self.S_line = cp.Parameter(size, name="S_line", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether flows are limited."""
         return True if len(data.flow_max_kva) else None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Limits of a window."""
-        lines = rated_lines(site)
-        size = (v.P_flow.shape[0], len(lines))
-        return cls(lines, cp.Parameter(size, name="S_line", nonneg=True))
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Cones of active and reactive flow."""

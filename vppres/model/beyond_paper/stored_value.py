@@ -8,8 +8,6 @@ off the cost. Without a value no problem has any of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -39,41 +37,47 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
     return held_kwh
 
 
-@dataclass(frozen=True, eq=False)
-class ValueAtEnd(Addition):
-    """Variables and parameters of the value of what is stored at the end of a window."""
+def kept_range(site: Site, data: WindowData) -> tuple[float, float]:
+    """Least and most that the energy at the end can be worth, in weighted customer hours."""
+    value, b = data.stored_value, site.batteries
+    if value is None:
+        return 0.0, 0.0
+    charged_kw = float(data.eta_charge @ b.active_max_kw)
+    drawn_kw = float((b.active_max_kw / data.eta_discharge).sum())
+    held_kwh = float(b.energy_kwh @ data.soc)
+    hours = data.n_steps * site.dt_h
+    most_kwh = min(held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh))
+    least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
+    for kind, kwh_each in value.kwh_each.items():
+        most_kwh += data.ahead.by_kind[kind].most_left_kwh(kwh_each)
+    return value.between(least_kwh, most_kwh)
 
-    #: Energy of all batteries and tanks in kWh; a variable, since limits with parameters stand
-    #: beside it.
-    stored: cp.Variable
-    kept: cp.Variable  #: what it is worth, in weighted customer hours
-    #: The lines, (K,).
-    slope: cp.Parameter
-    offset: cp.Parameter
-    gbp: cp.Parameter  #: what it takes off the cost for each weighted customer hour
-    share: cp.Parameter  #: 1 where it counts as service, otherwise 0
+
+class ValueAtEnd(Addition):
+    """Value of the energy of all batteries and tanks at the end, in weighted customer hours.
+
+    ``slope`` and ``offset`` are its lines. ``gbp`` is what it takes off the cost for each weighted
+    customer hour, ``share`` is 1 where it counts as service and otherwise 0.
+    """
 
     # What is left stays worth as much as in a dispatch, and has no part in the cost then.
-    by_dispatch: ClassVar[tuple[str, ...]] = ("kept",)
-    in_range: ClassVar[tuple[str, ...]] = ("E_stored",)
-    met: ClassVar[tuple[str, ...]] = ("value_at_end",)
+    by_dispatch = ("kept",)
+    in_range = ("E_stored",)
+    met = ("value_at_end",)
+
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        # A variable, since limits with parameters stand beside it.
+        self.stored = cp.Variable(name="E_stored")
+        self.kept = cp.Variable(name="kept")
+        self.slope = cp.Parameter(PIECES, name="kept_slope")
+        self.offset = cp.Parameter(PIECES, name="kept_offset")
+        self.gbp = cp.Parameter(name="kept_gbp", nonneg=True)
+        self.share = cp.Parameter(name="kept_share", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there is a value."""
         return data.ending == "value" or None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """A value of any window."""
-        return cls(
-            cp.Variable(name="E_stored"),
-            cp.Variable(name="kept"),
-            cp.Parameter(PIECES, name="kept_slope"),
-            cp.Parameter(PIECES, name="kept_offset"),
-            cp.Parameter(name="kept_gbp", nonneg=True),
-            cp.Parameter(name="kept_share", nonneg=True),
-        )
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """The energy at the end of the window, and what it is worth."""
@@ -92,7 +96,7 @@ class ValueAtEnd(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Value of the energy at the end: off the cost, and the later service that it buys."""
-        value = data.require_value()
+        value = data.stored_value or StoredValue.nothing()
         kept = value.at(left_kwh(site, value, data.ahead, dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
@@ -101,13 +105,13 @@ class ValueAtEnd(Addition):
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
         """Ranges of the parts of the cost, with that of the value of what can be kept."""
-        each_gbp = -data.require_value().gbp_as_cost
-        least, most = data.kept_range(site)
+        each_gbp = -(data.stored_value or StoredValue.nothing()).gbp_as_cost
+        least, most = kept_range(site, data)
         return np.append(least_gbp, each_gbp * most), np.append(dearest_gbp, each_gbp * least)
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """The energies at the end that are worth as much, and what comes off the cost for it."""
-        value = data.require_value()
+        value = data.stored_value or StoredValue.nothing()
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
         kept_kwh = left_kwh(site, value, data.ahead, dispatch)
         most_kwh = max(kept_kwh, value.most_kwh(value.at(kept_kwh)))

@@ -8,8 +8,6 @@ of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -25,30 +23,21 @@ from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 
-@dataclass(frozen=True, eq=False)
 class HeldAtEnd(Addition):
-    """Variable and parameters of what batteries are to hold at the end."""
+    """Energy in kWh that batteries are to hold at the end, what is missing, and its price."""
 
-    missing: cp.Variable  #: energy that is missing in kWh, (B,)
-    target_kwh: cp.Parameter  #: energy that is to be held, (B,)
-    price: cp.Parameter  #: price of a missing kWh in GBP
+    of_batteries = ("E_missing",)
 
-    of_batteries: ClassVar[tuple[str, ...]] = ("E_missing",)
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        B = len(site.batteries)
+        self.missing = cp.Variable(B, name="E_missing", nonneg=True)
+        self.target_kwh = cp.Parameter(B, name="E_target", nonneg=True)
+        self.price = cp.Parameter(name="price_missing", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there is a target."""
         return data.ending == "target" or None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Variables and parameters of the energy that batteries are to hold."""
-        B = len(site.batteries)
-        return cls(
-            cp.Variable(B, name="E_missing", nonneg=True),
-            cp.Parameter(B, name="E_target", nonneg=True),
-            cp.Parameter(name="price_missing", nonneg=True),
-        )
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """The energy at the end of the window, and what is missing to the target."""

@@ -11,8 +11,6 @@ export counts like curtailment. Without it no problem has any of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import Self
 
 import cvxpy as cp
 import numpy as np
@@ -58,7 +56,7 @@ def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) ->
 
 def _most_sold_kw(data: WindowData) -> Floats:
     """Largest export that the grid takes back, (W,)."""
-    return np.zeros(data.n_steps) if data.export is None else data.export.limit_kw
+    return np.zeros(data.n_steps) if not data.export else data.export.limit_kw
 
 
 def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:
@@ -66,26 +64,17 @@ def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:
     return np.asarray(np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
 class StoredIsKept(Addition):
-    """Parameters of what batteries may give and of what may be curtailed."""
+    """Largest power that batteries may give, (W, B), and that all systems may curtail, (W,)."""
 
-    given: cp.Parameter  #: largest discharging power, (W, B)
-    curtailed: cp.Parameter  #: largest curtailed power of all systems, (W,)
+    def __init__(self, site: Site, v: Variables, shape: Hashable) -> None:
+        self.given = cp.Parameter(v.P_dch.shape, name="P_dch_unspent", nonneg=True)
+        self.curtailed = cp.Parameter(v.P_grid.size, name="P_curt_unspent", nonneg=True)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there are such limits."""
-        return data.unspent is not None or None
-
-    @classmethod
-    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Limits of a window."""
-        W = v.u.shape[0]
-        return cls(
-            cp.Parameter((W, len(site.batteries)), name="P_dch_unspent", nonneg=True),
-            cp.Parameter(W, name="P_curt_unspent", nonneg=True),
-        )
+        return bool(data.unspent) or None
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """No power from batteries beside curtailed PV power."""
@@ -96,6 +85,5 @@ class StoredIsKept(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the limits."""
-        assert data.unspent is not None
         write(self.given, data.unspent.discharge_kw)
         write(self.curtailed, data.unspent.curtailed_kw)

@@ -53,7 +53,7 @@ def _named(task: WindowTask, name: str) -> str:
     """How the page differs from the paper's, in words."""
     if name == "own":
         return "the term that paper_objective has"
-    changed = name in task.changed
+    changed = name in task.sheet.statement.changed
     return f"a page without the paper's family {name}" if changed else f"the family {name}"
 
 
@@ -68,12 +68,8 @@ def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
     statement = fleet.sheet.statement
     later = set(statement.named("of_network"))
     taken = fleet.joined.keys() | fleet.terms.keys()
-    taken |= {
-        name
-        for name, family in statement.families.items()
-        if later & {x.name() for x in family.variables()}
-    }
-    return [name for name in task.own if name in task.changed or name not in taken]
+    taken |= {name for name in statement.families if later & statement.letters_of(name)}
+    return [name for name in task.own if name in statement.changed or name not in taken]
 
 
 def _search(task: WindowTask, lumped: bool, gap: float) -> bool:

@@ -89,23 +89,19 @@ def most_units(
     fewest = max(int(np.ceil(everyone - by_shares - SOLVED)), 0)
     spare = SPARE_CUSTOMERS * int(units.max())
     ways = None
-    while ways is None and not is_too_much(len(able), most_of_step, fewest + spare):
-        losses = [Losses.of(weights.tolist(), loads, fewest + spare) for loads in load_kw]
-        ways = fewest_lost(one, (data.load_kw * able).sum(axis=1), losses, fewest + spare)
+    while ways is None:
+        most_lost = fewest + spare
+        if len(able) * min(most_of_step, most_lost) * most_lost > MOST_WORK:
+            return float(everyone - fewest), None
+        losses = [Losses.of(weights.tolist(), loads, most_lost) for loads in load_kw]
+        ways = fewest_lost(one, (data.load_kw * able).sum(axis=1), losses, most_lost)
         if ways is None:
-            fewest, spare = fewest + spare + 1, 2 * spare
-    if ways is None:
-        return float(everyone - fewest), None
+            fewest, spare = most_lost + 1, 2 * spare
     served = able.copy()
     for t, (step, way) in enumerate(zip(losses, ways, strict=True)):
         for of, loads, count in zip(alike[t], load_kw[t], step.left_out[way], strict=True):
             served[t, of[np.argsort(-loads, kind="stable")[:count]]] = False
     return float((served * units).sum()), served
-
-
-def is_too_much(n_steps: int, units_of_step: int, most_lost: int) -> bool:
-    """Whether a recursion over so many lost units takes longer than it is worth."""
-    return n_steps * min(units_of_step, most_lost) * most_lost > MOST_WORK
 
 
 def fewest_lost(

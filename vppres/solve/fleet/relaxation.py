@@ -100,8 +100,8 @@ class Fleet:
         sheet = self.sheet
         statement = sheet.statement
         found = [total_balance(sheet)]
-        for name, constraint in {**statement.families, **statement.implied}.items():
-            used = {x.name() for x in constraint.variables()}
+        for name in statement.families | statement.implied:
+            used = statement.letters_of(name)
             beyond = name in statement.families or name in statement.implied_beyond
             if (used & self.left_out) or not (beyond or name in OF_ENERGY) or name in MODES:
                 continue
@@ -329,25 +329,17 @@ class FleetProblem(Selected):
 
 def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
     """The fleet's rows with a goal."""
-    found = Selection(sheet)
     parts = [*fleet.families.values()]
     parts.append(sheet.limit_of("service_max", {"x_served": 1.0}))
     parts.append(sheet.limit_of("service_min", {"x_served": -1.0}))
     parts += fleet.limits()
+    found = Selection(sheet).relaxed_to_shares(sheet.statement.named("directions"))
     if integer:
         parts += counts_of_alike(fleet)
     else:
         found = found.relax("x_served", 0.0, 1.0)
-    found = found.relaxed_to_shares(sheet.statement.named("directions"))
     found = replace(found, parts=tuple(sorted(parts, key=rank)))
-    with_goal = {
-        "weighted": _all_terms,
-        "service": _most_service,
-        "cost": _least_cost,
-        "dispatch": _cheapest,
-        "sooner": _as_good,
-    }
-    return with_goal[goal](found, fleet)
+    return _most_service(found, fleet) if goal == "service" else _with_terms(found, fleet, goal)
 
 
 def _order(fleet: Fleet, *first: str) -> tuple[str, ...]:
@@ -356,44 +348,29 @@ def _order(fleet: Fleet, *first: str) -> tuple[str, ...]:
     return (*names, fleet.name_of("P_ch"), "range P_ch", "range P_dch", "counts")
 
 
-def _all_terms(found: Selection, fleet: Fleet) -> Selection:
-    """The most of all linear terms as weighted."""
-    cost = ("f2", -fleet.site.weights.lambda_grid)
-    term = fleet.sum_of_terms("weighted", EQUAL, *fleet.service, cost)
-    order = _order(fleet, "x_served", "P_curt", "P_grid", "P_dch")
-    scale = objective_scale(fleet.site)
-    return replace(found, terms=((term, scale),), maximises=True, order=order)
-
-
-def _least_cost(found: Selection, fleet: Fleet) -> Selection:
-    """The least cost of schedules with enough service, in units; a window writes how much."""
-    spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
-    order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
-    parts = (*found.parts, _enough(fleet))
-    return replace(found, parts=parts, terms=((spent, 1.0),), order=order)
-
-
-def _as_good(found: Selection, fleet: Fleet) -> Selection:
-    """Schedules with enough service at no more than a cost; a window writes both."""
-    spent = fleet.sum_of_terms("cost_most", MOST, ("f2", 1.0))
-    order = _order(fleet, "x_served", "P_curt", "P_grid", "P_dch")
-    return replace(found, parts=(*found.parts, _enough(fleet), spent), order=order)
-
-
-def _enough(fleet: Fleet) -> Family:
-    """A row for enough service, in units."""
-    unit = fleet.grid or 1.0
-    lack = [(name, -factor / unit) for name, factor in fleet.service]
-    return fleet.sum_of_terms("service_enough", MOST, *lack)
-
-
-def _cheapest(found: Selection, fleet: Fleet) -> Selection:
-    """All that a supply schedule leaves to decide, in GBP."""
-    w = fleet.site.weights
-    terms = ("f2", w.lambda_grid), ("f3", w.lambda_curt), ("f7", -1.0), ("own", -1.0)
-    term = fleet.sum_of_terms("dispatch", EQUAL, *terms)
-    order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
-    return replace(found, terms=((term, cost_scale(fleet.site)),), order=order)
+def _with_terms(found: Selection, fleet: Fleet, goal: Goal) -> Selection:
+    """Selection with the terms of a goal, and rows for enough service and for the cost."""
+    w, unit = fleet.site.weights, fleet.grid or 1.0
+    terms = {
+        "weighted": (*fleet.service, ("f2", -w.lambda_grid)),
+        "cost": (("f2", 1.0),),
+        "dispatch": (("f2", w.lambda_grid), ("f3", w.lambda_curt), ("f7", -1.0), ("own", -1.0)),
+    }
+    scales = {"weighted": objective_scale(fleet.site), "dispatch": cost_scale(fleet.site)}
+    parts = list(found.parts)
+    if goal in ("cost", "sooner"):
+        lack = [(name, -factor / unit) for name, factor in fleet.service]
+        parts.append(fleet.sum_of_terms("service_enough", MOST, *lack))
+    if goal == "sooner":
+        parts.append(fleet.sum_of_terms("cost_most", MOST, ("f2", 1.0)))
+    by_cost = goal in ("cost", "dispatch")
+    first = ("P_grid", "P_curt", "P_dch", "x_served")
+    order = _order(fleet, *(first if by_cost else ("x_served", "P_curt", "P_grid", "P_dch")))
+    found = replace(found, parts=tuple(parts), maximises=goal == "weighted", order=order)
+    if goal not in terms:
+        return found
+    term = fleet.sum_of_terms(goal, EQUAL, *terms[goal])
+    return replace(found, terms=((term, scales.get(goal, 1.0)),))
 
 
 def _most_service(found: Selection, fleet: Fleet) -> Selection:

@@ -87,7 +87,7 @@ class Buses:
         self.reactance = reactance
         self.injected = injected
         self.held: Wholes = np.zeros(data.n_steps, dtype=np.int64)
-        if data.physics is not None:
+        if data.physics:
             self.held = data.physics.reference
 
     def flows(self, x: Floats) -> tuple[Floats, Floats]:
@@ -101,7 +101,7 @@ class Buses:
 
     def _referred(self, u: Floats) -> Floats:
         """Squared voltages (W, N) as they are where another bus than the grid's holds them."""
-        if self.data.physics is None:
+        if not self.data.physics:
             return u
         net = self.network
         held_pu2 = net.u_pu2(net.held_pu)[self.held]

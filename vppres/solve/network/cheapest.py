@@ -8,7 +8,7 @@ import highspy
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Flags, Wholes
 from vppres.model.data import WindowData
 from vppres.model.parts import at_items
 from vppres.model.site import Site
@@ -73,25 +73,25 @@ class CheapestDispatch:
             self._hold(solver, unused, 0.0)
             turned = self.network.until_carried(solver, deadline, EXACT_DISC)
             # With phases, a window without an answer in these turns may have one in others.
-            if self.data.phased is None or turned.status == Status.OPTIMAL:
+            if not self.data.phased or turned.status == Status.OPTIMAL:
                 found = turned
         return found.outcome(watch.spent_s), self._dispatch(found, served)
 
     def _dispatch(self, found: ProgramSolution, served: Flags) -> Dispatch | None:
-        """A solution as a dispatch of a set, or what is left of one whose time ran out."""
-        optimal = found.status == Status.OPTIMAL
-        columns = self.network.columns(found) if optimal else self._clipped()
+        """A solution as a dispatch of a set.
+
+        Of a large window whose time ran out it is the last one, made to meet the discs.
+        """
+        if found.status == Status.OPTIMAL:
+            return self.model.dispatch(self.network.columns(found), served)
+        last = self.network.unfinished if self.network.is_large else None
+        columns = None if last is None else self.model.clipped(last, SOLVED)
         return None if columns is None else self.model.dispatch(columns, served)
 
     def _hold(self, solver: highspy.Highs, columns: Wholes, value: float) -> None:
         """Hold columns of a solver at a value."""
         held = np.full(columns.size, value)
         solver.changeColsBounds(len(held), columns.ravel().astype(np.int32), held, held)
-
-    def _clipped(self) -> Floats | None:
-        """Of a large window whose time ran out, the last solution made to meet the discs."""
-        last = self.network.unfinished if self.network.is_large else None
-        return None if last is None else self.model.clipped(last, SOLVED)
 
     def _unused(self, answer: ProgramSolution, served: Flags, charges: Flags | None) -> Wholes:
         """Columns to be left unused where a solution goes two ways at once: the lesser of each two.
@@ -105,17 +105,12 @@ class CheapestDispatch:
         unused = []
         if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
             unused += [at("P_out")[imported >= exported], at("P_grid")[imported < exported]]
-        in_turns = self.network.is_large or self.data.phased is not None
+        in_turns = self.network.is_large or self.data.phased
         if in_turns and not self._storable(answer, served):
             if charges is None:
                 charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
-            unused += [self._resting(charges)]
+            unused += [at("P_dch")[charges], at("P_ch")[~charges]]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
-
-    def _resting(self, charges: Flags) -> Wholes:
-        """Columns of batteries that do not charge, and of those that do not discharge."""
-        at = self.model.at
-        return np.append(at("P_dch")[charges], at("P_ch")[~charges])
 
     def _out_of_turn(self, plan: Dispatch) -> Wholes:
         """Columns that a plan's turns leave unused.

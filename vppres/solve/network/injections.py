@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.beyond_paper.lines_out import LinesOut
+from vppres.model.beyond_paper.stored_value import kept_range
 from vppres.model.data import WindowData
 from vppres.model.numerics import cost_scale
 from vppres.model.site import Site
@@ -61,8 +62,7 @@ def select_devices(sheet: Sheet) -> Selection:
     of_devices = [
         name
         for name in in_order(sheet)
-        if name not in elsewhere
-        and not LINES & {x.name() for x in statement.families[name].variables()}
+        if name not in elsewhere and not LINES & statement.letters_of(name)
     ]
     found = Selection(sheet).relax("x_served", 0.0, 1.0).hold("P_flow", "Q_flow")
     found = found.relaxed_to_shares(statement.named("directions"))
@@ -119,7 +119,7 @@ class Injections:
             p.matrix, q.matrix, -p.upper.reshape(shape), -q.upper.reshape(shape)
         )
         self.buses = Buses(self.reactance, data, injected)
-        phased = data.phased is not None
+        phased = data.phased
         self.limits = PhaseLimits(self.site, data, self.problem) if phased else self.buses
         self.discs = Rows.joined([every.part(named[name]) for name in DISCS])
         inside = np.ones(len(numbers.limit), dtype=bool)
@@ -142,7 +142,7 @@ class Injections:
         """Balances of all parts but the grid's, which has what is left of the sums."""
         of_bus = self.data.parts.of_bus
         steps, buses = np.nonzero(of_bus)
-        if self.data.phased is not None or not len(steps):
+        if self.data.phased or not len(steps):
             return []
         N = of_bus.shape[1]
         numbers, row = np.unique(steps * N + of_bus[steps, buses], return_inverse=True)
@@ -173,7 +173,7 @@ class Injections:
             "P_exp": (0.0, data.pv_kw),
             "E_missing": (0.0, missing_kwh),
             "E_stored": (0.0, held_kwh),
-            "kept": data.kept_range(site),
+            "kept": kept_range(site, data),
             "P_over": (-self._all_kw, self._all_kw),
         }
         for name in limits.keys() & self.problem.first.keys():
@@ -191,7 +191,7 @@ class Injections:
         all_kw = all_kw + 2.0 * site.batteries.p_max_kw.sum()
         all_kw = sum(data.ahead.most_taken_kw(kinds), start=all_kw)
         all_kw = sum(data.ahead.most_given_kw(kinds), start=all_kw)
-        if data.drawn is not None:
+        if data.drawn:
             all_kw = all_kw + np.abs(data.drawn.kw).sum(axis=1)
         return np.asarray(all_kw)[:, None]
 

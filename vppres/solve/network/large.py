@@ -216,7 +216,7 @@ class ServiceCuts:
         program = self._program(shares, units).with_held(decided, held[decided])
         just = sp.csc_array(self.units[None, :])
         limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
-        solver = program.with_range(just, *limits).loaded(
+        solver = program.with_rows(just, *limits).loaded(
             1.0 - 2.0 * PREFERENCE, enough=PREFERENCE_LEFT - units
         )
         return ProgramSolution.of(solver, deadline)

@@ -140,7 +140,7 @@ class NetworkMaster(Relaxation):
         Rows of phases make nodes slow: a search for a set that is cheaper by a hundredth takes as
         long as all the rest there, so that one that is certified stays.
         """
-        return self.data.phased is None or not self.task.certificate.certified
+        return not self.data.phased or not self.task.certificate.certified
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in whole units, as if curtailment were free: it counts with the cost.

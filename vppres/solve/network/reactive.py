@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cvxpy as cp
 import numpy as np
 from cvxpy.constraints.zero import Equality
 
@@ -40,11 +39,15 @@ class LeastReactive(Selected):
 
     def _selected(self, sheet: Sheet) -> Selection:
         """Reactive balance and voltage of every bus, limits of inverters, lines and the grid."""
-        families = sheet.statement.families.items()
-        holds_voltage = [name for name, c in families if _holds_voltage(c)]
+        statement = sheet.statement
+        holds_voltage = [
+            name
+            for name, family in statement.families.items()
+            if isinstance(family, Equality) and statement.letters_of(name) == {"u"}
+        ]
         found = Selection(sheet).hold("x_served", "P_flow").relax("u")
         found = found.keep("reactive_power_balance", *holds_voltage)
-        found = found.keep(*(name for name, _ in families if name == NO_REACTIVE_FLOW))
+        found = found.keep(*(name for name in statement.families if name == NO_REACTIVE_FLOW))
         found = found.scale("delta_lindistflow", SHARPER_VOLTAGE)
         limited = [name for name in LETTERS if name != "Q_flow" or self.site.rated]
         for name in ("u", *limited):
@@ -59,8 +62,7 @@ class LeastReactive(Selected):
         part = data.part(step)
         self.fill(part, dispatch.served[step])
         self.held["P_flow"] = dispatch.p_flow_kw[step]
-        physics = part.physics
-        kept_kw = 0.0 if physics is None else physics.headroom_kw
+        kept_kw = part.physics.headroom_kw if part.physics else 0.0
         net_kw = dispatch.charge_kw - dispatch.discharge_kw
         through_kw = dispatch.pv_self_kw + dispatch.pv_export_kw
         rated_kva = np.broadcast_to(limit_kva(part), (1, site.network.n_lines))
@@ -88,12 +90,6 @@ class LeastReactive(Selected):
             arrays[field] = getattr(dispatch, field).copy()
             arrays[field][t : t + 1] = values
         return replace(dispatch, **arrays)
-
-
-def _holds_voltage(constraint: cp.Constraint) -> bool:
-    """Whether a family says where the voltage is held."""
-    letters = {x.name() for x in constraint.variables()}
-    return isinstance(constraint, Equality) and letters == {"u"}
 
 
 def _left(s_max_kva: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:

@@ -110,7 +110,7 @@ def limited(program: Program, rows: list[Rows]) -> Program:
     if not rows:
         return program
     limits = Rows.joined(rows)
-    return program.with_range(limits.matrix.tocsc(), limits.lower, limits.upper)
+    return program.with_rows(limits.matrix.tocsc(), limits.lower, limits.upper)
 
 
 def add(solver: highspy.Highs, rows: Rows) -> None:
