@@ -27,6 +27,7 @@ from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
 from vppres.service.replay.explanations import explained, question
+from vppres.service.replay.export import export
 
 FOLDER = Path(__file__).parents[1] / "service" / "sequences"
 ROW = re.compile(
@@ -114,6 +115,11 @@ class Checks:
     once = staticmethod(lambda value, found: str(found).count(value) == 1)
     count = staticmethod(lambda value, found: len(found) == value)
     names = staticmethod(lambda value, found: sorted(found) == sorted(value))
+
+    def other(self, value: Any, found: Any) -> bool:
+        """Another than this."""
+        return not self.matches(value, found)
+
     within = staticmethod(lambda value, found: found in value)
     absent = staticmethod(lambda value, found: False)
 
@@ -150,6 +156,10 @@ class Checks:
         kind, name = value["kind"], next(name for name in value if name != "kind")
         total = sum(one[name] for one in found if one["kind"] == kind)
         return self.matches(value[name], total)
+
+    def not_kept(self, name: str, found: Any) -> bool:
+        """Another than what is kept under a name."""
+        return not self.kept(name, found)
 
     def keep(self, name: str, found: Any) -> bool:
         """Any: it is kept under a name."""
@@ -288,7 +298,7 @@ def _cases(
     for line in lines:
         word, _, rest = line.partition(" ")
         if word == "each":
-            names, _, values = rest.partition(" in ")
+            names, _, values = put_in(rest, constants).partition(" in ")
             drawn[names] = values.split(" | ")
         elif word == "mark":
             mark = rest
@@ -300,10 +310,10 @@ def _cases(
         case: dict[str, str] = {}
         slow = mark
         for names, values in zip(drawn, chosen, strict=True):
-            values, _, said = values.partition(" !")
-            slow = said or slow
+            if values.endswith(" !daily"):
+                values, slow = values.removesuffix(" !daily"), "daily"
             pairs = zip(names.split(", "), values.split(" ; "), strict=True)
-            case |= {name.removeprefix("$"): put_in(value, constants) for name, value in pairs}
+            case |= {name.removeprefix("$"): value for name, value in pairs}
         known = {**constants, **case}
         own = {**usual, **read("{" + put_in(site, known) + "}")}
         name = f"{title}: {', '.join(case.values())[:60]}" if case else title
@@ -364,6 +374,8 @@ class Player:
             answer = self.ask(moment(found["time"]), asked)
             status = int(found["status"] or 200)
             assert answer.status == status, (row, answer)
+            if asked["what"] == "hear" and not found["parts"]:
+                assert answer.json()["refused"] == [], (row, answer)
             for name, expected in (read(f"{{{found['parts'] or ''} }}") or {}).items():
                 part = self.part(answer, name)
                 assert self.checks.matches(expected, part), (row, name, part)
@@ -433,6 +445,16 @@ class Player:
         """What has changed since the last plan, in words."""
         return answered({"reasons": list(self.runner.changes.reasons)})
 
+    def export(self, span: dict[str, str]) -> Answer:
+        """Tables of the run that is written out: columns over steps, of each asset if there are some."""
+        run = export(self.service, self.folder, span["from"], span["to"])
+        found: dict[str, Any] = {"steps": run.steps.to_dict("list")}
+        for name in ("customers", "batteries", "gensets"):
+            table = getattr(run, name)
+            assets = {} if table is None else table.groupby("id", sort=False)
+            found[name] = {key: rows.to_dict("list") for key, rows in assets}
+        return answered(found)
+
     def restart(self, _: None) -> Answer:
         """The service ends and begins again."""
         self.stack.close()
@@ -455,7 +477,7 @@ class Player:
 
 def answered(found: Any) -> Answer:
     """An answer in this process; 204 if there is none."""
-    return Answer(204 if found is None else 200, {}, json.dumps(found).encode())
+    return Answer(204 if found is None else 200, {}, json.dumps(found, default=str).encode())
 
 
 def play(sequence: Sequence, folder: Path) -> None:
