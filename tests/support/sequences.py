@@ -161,6 +161,21 @@ class Checks:
         """Another than what is kept under a name."""
         return not self.kept(name, found)
 
+    def where(self, value: Mapping[str, Any], found: list[Any]) -> bool:
+        """Of the elements with these fields the others are as they must be, as a list each."""
+        checks = {name: each for name, each in value.items() if isinstance(each, Check)}
+        plain = {name: each for name, each in value.items() if name not in checks}
+        rows = [one for one in found if self.part(plain, one)]
+        return all(self.matches(each, [one[name] for one in rows]) for name, each in checks.items())
+
+    def more(self, name: str, found: float) -> bool:
+        """More than what is kept under a name."""
+        return bool(found > self.known[name])
+
+    def first(self, value: list[Any], found: list[Any]) -> bool:
+        """The first elements of a list."""
+        return self.matches(value, found[: len(value)])
+
     def keep(self, name: str, found: Any) -> bool:
         """Any: it is kept under a name."""
         self.known[name] = found
@@ -449,10 +464,10 @@ class Player:
         """Tables of the run that is written out: columns over steps, of each asset if there are some."""
         run = export(self.service, self.folder, span["from"], span["to"])
         found: dict[str, Any] = {"steps": run.steps.to_dict("list")}
-        for name in ("customers", "batteries", "gensets"):
+        for name, key in (("customers", "id"), ("batteries", "id"), ("gensets", "genset")):
             table = getattr(run, name)
-            assets = {} if table is None else table.groupby("id", sort=False)
-            found[name] = {key: rows.to_dict("list") for key, rows in assets}
+            assets = [] if table is None or table.empty else table.groupby(key, sort=False)
+            found[name] = {asset: rows.to_dict("list") for asset, rows in assets}
         return answered(found)
 
     def restart(self, _: None) -> Answer:
