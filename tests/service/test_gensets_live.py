@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, two_buses
 from vppres import (
@@ -175,69 +175,6 @@ def with_set(tiny: Scenario, **more: Any) -> Scenario:
     return replace(tiny, gensets=gensets(bus=[4], p_min_kw=10.0, **more))
 
 
-def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    day = with_set(site(tiny))
-    clock = SetClock(NOON)
-    hour = pd.Timedelta(hours=1)
-    dark = {"type": "outage", "start": written(NOON), "end": written(NOON + 9 * hour)}
-    with client(Service(day, HERE), tmp_path, clock) as http:
-        http.put("/v1/events/storm", dark)
-        first = decided(http, clock, NOON, soc=0.1)
-        assert said(first, "gensets")["g0"]["running"]
-        point = said(first, "gensets")["g0"]
-        assert point["default"] == {"running": True, "p_kw": point["p_kw"]}
-        (shown,) = http.get("/v1/setpoints?asset=g0").json()["setpoints"]
-        assert shown["id"] == point["id"]
-        rejected = {"status": "rejected", "reason": "no oil"}
-        answer = http.post(f"/v1/setpoints/{point['id']}/status", rejected)
-        assert answer.status == 200
-        second = decided(http, clock, NOON + hour, soc=0.1)
-        assert not said(second, "gensets")["g0"]["running"]
-        assert second["expected"]["gensets"]["g0"]["out"]
-        assert "genset g0 is out (start fault)" in second["estimated"]
-        alarms = http.get("/v1/alarms").json()["alarms"]
-        assert "g0 did not follow its set-point: it does not start." in [a["text"] for a in alarms]
-    with client(Service(day, HERE), tmp_path, clock) as http:
-        clock.set(NOON + 2 * hour)
-        series = readings(NOON + 2 * hour, "start_fault", {"g0": 0.0})
-        series += readings(NOON + 2 * hour, "fuel_litres", {"g0": 123.0})
-        assert http.post("/v1/telemetry", {"series": series}).status == 200
-        beyond = readings(NOON + 2 * hour, "fuel_litres", {"g0": 1230.0})
-        refused = http.post("/v1/telemetry", {"series": beyond})
-        assert refused.status == 422 and "tank of 200 l" in json.dumps(refused.json())
-        third = decided(http, clock, NOON + 2 * hour, soc=0.1)
-        assert said(third, "gensets")["g0"]["running"]
-        assert third["expected"]["gensets"]["g0"]["fuel_litres"] == 123.0
-        seen = http.get("/v1/overview").json()
-        assert http.get("/v1/site").json()["gensets"]["g0"]["tank_litres"] == 200.0
-        assert seen["plan"]["gensets"]["g0"]["running"]
-        assert seen["measured"]["fuel_litres g0"]["value"] == 123.0
-        until = written(NOON + 5 * hour)
-        mode = {"mode": "manual", "until": until, "reason": "a test"}
-        asked = {"kind": "gensets", "asset": "g0", "p_kw": 5.0}
-        refused = http.put("/v1/mode", {**mode, "setpoints": [asked]})
-        assert refused.status == 422 and "is not from 10 to 100 kW" in json.dumps(refused.json())
-        for hours, p_kw in ((3, 40.0), (4, 0.0)):
-            by_hand = {**mode, "setpoints": [{**asked, "p_kw": p_kw}]}
-            assert http.put("/v1/mode", by_hand).status == 200
-            point = said(decided(http, clock, NOON + hours * hour), "gensets")["g0"]
-            assert (point["running"], point["p_kw"]) == (p_kw > 0.0, p_kw)
-        sixth = decided(http, clock, NOON + 5 * hour, soc=0.1)
-        assert "genset g0 is out" not in str(sixth["estimated"])
-        # Since the third step it may have run for 3 h with the most that it was told.
-        most_kw = max(said(third, "gensets")["g0"]["p_kw"], 40.0)
-        least = 123.0 - 3 * (8.415 + 0.246 * most_kw)
-        known = sixth["expected"]["gensets"]["g0"]
-        assert known["fuel_litres"] == pytest.approx(least) and known["hours_before"] == 0.0
-        told = export(Service(day, HERE), tmp_path, written(NOON), written(NOON + 6 * hour)).gensets
-    assert told is not None
-    assert told["running"].tolist()[:5] == [True, False, True, True, False]
-    assert told["fuel_start_litres"][2] == 123.0 and told["p_kw"][3] == 40.0
-    assert told["hours_before"].tolist() == [-24.0, -25.0, -26.0, 1.0, 2.0, 0.0]
-
-
 def test_an_exported_day_has_its_first_delivery_once(tiny: Scenario, tmp_path: Path) -> None:
     clock = SetClock(NOON)
     day = replace(with_set(site(tiny)), refuels=Refuels(["g0"], [NOON], [50.0]))
@@ -284,55 +221,3 @@ def test_a_set_that_is_out_forms_no_grid() -> None:
     ):
         step = controller.step(Measurement(time, running=told))
         assert bool(only(step)["running"]) == bool(step.customers["served"].all()) == runs
-
-
-def test_a_set_that_rejected_its_start_and_has_no_fault_is_planned_for_at_once(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    """Its first reading of a fault says that there is none; the same once more is no news."""
-    day, clock, minute = with_set(site(tiny)), SetClock(NOON), pd.Timedelta("1min")
-    dark = {"type": "outage", "start": written(NOON), "end": written(NOON + 540 * minute)}
-
-    def sends_no_fault(minutes: float) -> None:
-        clock.set(NOON + minutes * minute)
-        series = readings(clock.now(), "start_fault", {"g0": 0.0})
-        assert http.post("/v1/telemetry", {"series": series}).status == 200
-
-    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
-        http.put("/v1/events/storm", dark)
-        point = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
-        assert point["running"]
-        clock.set(NOON + 5 * minute)
-        http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
-        plan = runner.anew()
-        assert plan is not None and plan["expected"]["gensets"]["g0"]["out"]
-        sends_no_fault(10.0)
-        assert runner.changes.reasons == ("g0 start_fault = 0 (scada)",)
-        plan = runner.anew()
-        assert plan is not None and not plan["expected"]["gensets"]["g0"]["out"]
-        assert said(plan, "gensets")["g0"]["running"]
-        sends_no_fault(15.0)
-        assert runner.changes.reasons == ()
-
-
-def test_a_set_that_is_refuelled_is_planned_for_at_once(tiny: Scenario, tmp_path: Path) -> None:
-    """20 l last for no hour at 100 kW; a gauge that stands still is no news."""
-    day, clock = with_set(site(tiny)), SetClock(NOON)
-    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
-
-        def gauge(minutes: float, litres: float) -> tuple[str, ...]:
-            clock.set(NOON + pd.Timedelta(minutes=minutes))
-            series = readings(clock.now(), "fuel_litres", {"g0": litres})
-            assert http.post("/v1/telemetry", {"series": series}).status == 200
-            return runner.changes.reasons
-
-        http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
-        gauge(0.0, 20.0)
-        before = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
-        assert gauge(19.0, 20.0) == ()
-        assert gauge(20.0, 200.0) == ("fuel_litres of g0 is 200 (scada)",)
-        plan = runner.anew()
-        assert plan is not None and plan["anew"] == "fuel_litres of g0 is 200 (scada)"
-        assert plan["expected"]["gensets"]["g0"]["fuel_litres"] == 200.0
-        assert said(plan, "gensets")["g0"]["p_kw"] > before["p_kw"]
-        assert gauge(21.0, 199.5) == ()

@@ -21,20 +21,16 @@ from tests.support.live_service import (
     client,
     decided,
     readings,
-    serving,
     site,
-    with_units,
 )
 from tests.support.played_service import Here, crowded
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK
-from tests.support.vans import van
 from vppres import Controller, Measurement, RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.operation.site import Service
 from vppres.service.plans.world import Series, World
-from vppres.service.replay.explanations import explained, question
 from vppres.service.simulate import Play, Player
 
 REAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
@@ -97,58 +93,6 @@ def test_what_is_odd_is_named_and_nobody_is_off_for_it(
     assert not np.all(players[0])
 
 
-def test_a_van_that_left_is_away_until_it_is_plugged_in_again(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    day = site(tiny)
-    charger, vehicle = van(NOON.floor("1D"), NOON.ceil("1D"))
-    clock = SetClock(NOON)
-    with client(
-        Service(replace(day, chargers=charger, sessions=vehicle), HERE), tmp_path, clock
-    ) as http:
-        for hours, plugged, is_there in (
-            (0, None, True),
-            (1, 0.0, False),
-            (4, None, False),
-            (5, 1.0, True),
-        ):
-            time = NOON + hours * HOUR
-            clock.set(time)
-            if hours == 0:
-                http.post("/v1/telemetry", {"series": readings(time, "ev_soc", {"k0": 0.4})})
-            if plugged is not None:
-                http.post("/v1/telemetry", {"series": readings(time, "plugged", {"k0": plugged})})
-            plan = decided(http, clock, time)
-            assert ("k0" in plan["expected"]["vehicles"]) == is_there
-            late = [one["quantity"] for one in plan["late"] if one["asset"] == "k0"]
-            assert is_there or "ev_soc" not in late
-            assert ("vehicle van left k0 before its departure" in plan["estimated"]) != is_there
-
-
-def test_a_vehicle_that_only_its_charger_told_of_is_explained(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    """No session of the scenario knows it; it comes for two hours, and its need is told anew."""
-    day = replace(site(tiny), chargers=van(NOON, NOON)[0])
-    clock = SetClock(NOON)
-    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
-        leaves = (NOON + 2 * HOUR).timestamp()
-        for hours, needed_kwh in ((0, None), (1, 5.0), (2, None)):
-            time = NOON + hours * HOUR
-            clock.set(time)
-            if needed_kwh is not None:
-                series = readings(time, "energy_needed_kwh", {"k0": needed_kwh})
-                series += readings(time, "departure", {"k0": leaves})
-                assert http.post("/v1/telemetry", {"series": series}).status == 200
-            plan = decided(http, clock, time)
-            reasons = explained(question(runner, plan))["reasons"]
-            of_cars = [one["words"] for one in reasons if one["kind"] == "vehicles"]
-            if needed_kwh is None:
-                assert of_cars == []
-            else:
-                assert of_cars == ["Charges 5.4 kW: it leaves at 14:00 and needs 5.0 kWh more."]
-
-
 def test_a_thermometer_that_stands_still_while_the_room_swings_is_found() -> None:
     """Without power it becomes 24.7, 23.9 and 23.2 °C: never 1 K from the reading."""
     day = hot([DARK] * 4, c_kwh_per_c=1.0)
@@ -179,45 +123,6 @@ def test_a_thermometer_whose_clock_is_ahead_does_not_stand_still_when_its_next_r
     assert words(second, ahead).endswith("(missing)")
     # One that is sent anew and still says the same does stand still.
     assert words(third, third).endswith("(frozen)")
-
-
-def test_what_rejects_to_be_off_or_less_on_is_named_and_can_be_used(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    """It stays as it was: nobody is switched off for it, and a set that runs on forms the grid."""
-    c = site(tiny).customers
-    share_min = np.where(c.id == "shop", 0.5, 1.0)
-    day = with_units(tiny, customers=replace(c, share_min=share_min))
-    clock = SetClock(NOON)
-    asked = [
-        {"kind": "customers", "asset": "shop", "served": True, "share": 0.5},
-        {"kind": "customers", "asset": "homes", "served": False},
-        {"kind": "gensets", "asset": "g0", "p_kw": 0.0},
-        {"kind": "chargers", "asset": "k0", "p_limit_kw": 2.0},
-        {"kind": "thermal_loads", "asset": "h0", "setpoint_c": 22.0},
-        {"kind": "pv", "asset": str(day.pv.id[0]), "p_kw": 0.0},
-    ]
-    names = {str(one["asset"]) for one in asked}
-    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
-        plan = decided(http, clock, NOON)
-        until = {"until": "2026-11-21T13:00:00Z", "reason": "work"}
-        http.put("/v1/mode", {"mode": "manual", **until, "setpoints": asked})
-        clock.set(NOON + HOUR / 4)
-        plan = runner.anew() or {}
-        points = {one["asset"]: one for one in plan["setpoints"] if one["asset"] in names}
-        for one in points.values():
-            answer = http.post(f"/v1/setpoints/{one['id']}/status", {"status": "rejected"})
-            assert answer.status == 200
-        runner.watch.check_alarms()
-        alarms = http.get("/v1/alarms").json()["alarms"]
-        assert {one["subject"] for one in alarms if one["kind"] == "setpoint_rejected"} == names
-        texts = {one["subject"]: one["text"] for one in alarms}
-        assert texts["k0"] == "k0 did not follow its set-point: rejected."
-        plan = decided(http, clock, NOON + HOUR)
-        assert plan["lost"] == [] and not plan["expected"]["gensets"]["g0"]["out"]
-        assert all(one["served"] for one in plan["setpoints"] if one["kind"] == "customers")
-        left = http.get("/v1/alarms").json()["alarms"]
-        assert all(one["cleared_at"] for one in left if one["kind"] == "setpoint_rejected")
 
 
 def dimming_shop(tiny: Scenario, shop_kw: float, homes_kw: float) -> Scenario:
@@ -258,42 +163,3 @@ def test_the_price_of_energy_counts_on_no_dimming_that_was_refused(
             http.post(f"/v1/setpoints/{shop['id']}/status", no)
     assert shares == pytest.approx([0.93, 1.0], abs=1e-4)
     assert prices == pytest.approx([0.95 * 0.1 / 10.0, 0.95 * 0.02 / 1.0], rel=1e-3)
-
-
-@pytest.mark.parametrize("still", [{}, {"shop": 1.0}])
-def test_a_customer_that_rejects_to_be_dimmed_is_not_dimmed_until_it_is_back(
-    tiny: Scenario, tmp_path: Path, still: dict[str, float]
-) -> None:
-    """One battery of 30 kW in an island; the shop takes 40 kW and may have a quarter of it.
-
-    A gateway that says in each hour that it is ``still`` there says nothing new.
-    """
-    day = dimming_shop(tiny, shop_kw=40.0, homes_kw=5.0)
-    now = replace(HERE, horizon_h=0.0)
-    clock = SetClock(NOON)
-
-    def shop(http: Any, hours: int, **online: float) -> tuple[Any, list[str]]:
-        time = NOON + hours * HOUR
-        clock.set(time)
-        series = readings(time, "soc", {"big": 0.0, "small": 0.9})
-        series += readings(time, "grid_on", {"grid": 0.0})
-        series += readings(time, "online", {**online, "big": 0.0})
-        assert not http.post("/v1/telemetry", {"series": series}).json().get("refused")
-        plan = decided(http, clock, time)
-        return next(o for o in plan["setpoints"] if o["asset"] == "shop"), plan["estimated"]
-
-    with client(Service(day, now), tmp_path, clock) as http:
-        point, _ = shop(http, 0, **still)
-        assert point["served"] and 0.25 <= point["share"] < 1.0
-        no = {"status": "rejected", "reason": "no relay"}
-        assert http.post(f"/v1/setpoints/{point['id']}/status", no).status == 200
-    with client(Service(day, now), tmp_path, clock) as http:
-        for hours, online in ((1, still), (2, still)):
-            point, estimated = shop(http, hours, **online)
-            assert not point["served"], "40 kW are more than 30"
-            assert "shop cannot be dimmed (rejected: no relay)" in estimated
-        if still:
-            shop(http, 3, shop=0.0)
-        point, estimated = shop(http, 4, shop=1.0)
-        assert point["served"] and point["share"] < 1.0
-        assert not [words for words in estimated if "dimmed" in words]

@@ -12,16 +12,12 @@ import pandas as pd
 import pytest
 
 from tests.support.homes import homes, hot
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.page_words import NODE, said_by
 from tests.support.small_windows import DARK, OPEN
-from tests.support.vans import van
 from vppres import Controller, InputError, Measurement, RunOptions, SetPoints
 from vppres.kinds.cooling.live import setpoints_c
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import SetClock, written
-from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta(hours=1)
 OPTIONS = RunOptions(mode="paper", isolate=False)
@@ -179,103 +175,6 @@ def test_a_machine_that_cannot_hold_its_room_is_told_to_go_on(
     worse = found["indoor_end_c"] - start_c
     assert worse < 0.0 if heats else worse > 0.0
     assert found["setpoint_c"] == (20.0 if heats else 26.0)
-
-
-def cooled(day: Scenario) -> Scenario:
-    """The day with a home that its shop cools and a tank of the hospital that is heated."""
-    tank: dict[str, Any] = {
-        "heats": [False, True],
-        "r_c_per_kw": [5.0, 50.0],
-        "c_kwh_per_c": [8.0, 0.3],
-        "t_min_c": [20.0, 50.0],
-        "t_max_c": [26.0, 60.0],
-        "t_initial_c": [24.0, 55.0],
-        "gain_kw": [0.5, -0.1],
-    }
-    return replace(day, thermal_loads=homes("shop", "hospital", **tank))
-
-
-def test_a_service_tells_thermostats_temperatures(tiny: Scenario, tmp_path: Path) -> None:
-    """A fresh reading counts; an old one is stale and the temperature is reckoned; both are kept."""
-    day = cooled(site(tiny))
-    clock = SetClock(NOON)
-    with client(Service(day, HERE), tmp_path, clock) as http:
-        series = readings(NOON, "indoor_c", {"h0": 26.5, "h1": 52.0})
-        assert http.post("/v1/telemetry", {"series": series}).status == 200
-        fahrenheit = readings(NOON, "indoor_c", {"h0": 81.0})
-        refused = http.post("/v1/telemetry", {"series": fahrenheit})
-        assert refused.status == 422 and "check the unit" in json.dumps(refused.json())
-        first = decided(http, clock, NOON)
-        assert first["expected"]["indoor_c"] == {"h0": 26.5, "h1": 52.0}
-        ends_c = first["expected"]["indoor_end_c"]
-        point = said(first, "thermal_loads")["h0"]
-        assert point["setpoint_c"] == ends_c["h0"] == pytest.approx(26.0, abs=1e-3)
-        assert point["default"] == {"setpoint_c": 26.0} and point["valid_until"] > written(NOON)
-        assert len(first["ahead"]["indoor_c"]["h1"]) == len(first["ahead"]["times"])
-        asked = http.get("/v1/setpoints?asset=h1").json()["setpoints"]
-        assert [one["kind"] for one in asked] == ["thermal_loads"]
-    with client(Service(day, HERE), tmp_path, clock) as http:
-        plan = decided(http, clock, NOON + 2 * HOUR)
-        late = {(one["asset"], one["quantity"], one["state"]) for one in plan["late"]}
-        assert ("h0", "indoor_c", "stale") in late
-        assert [words[:11] for words in plan["estimated"] if "indoor_c" in words] == [
-            "indoor_c h0",
-            "indoor_c h1",
-        ]
-        until = written(NOON + 4 * HOUR)
-        assert http.put("/v1/mode", {"mode": "hold", "until": until, "reason": "a"}).status == 200
-        held = decided(http, clock, NOON + 3 * HOUR)
-        assert (
-            said(held, "thermal_loads")["h0"]["setpoint_c"]
-            == (said(plan, "thermal_loads")["h0"]["setpoint_c"])
-        )
-
-
-def equipped(tiny: Scenario) -> Scenario:
-    """The site with rooms, a charger whose vehicle leaves at 14:00, and homes that may be dimmed."""
-    day = cooled(site(tiny))
-    start = day.grid.start
-    charger, vehicle = van(start, start + 14 * HOUR)
-    homes_only = replace(day.customers, share_min=[1.0, 1.0, 0.5])
-    return replace(day, customers=homes_only, chargers=charger, sessions=vehicle)
-
-
-def test_an_operator_sets_a_limit_a_temperature_and_a_share(tiny: Scenario, tmp_path: Path) -> None:
-    """What devices cannot do is refused by name; the page shows what will be missed."""
-    day = equipped(tiny)
-    noon = day.grid.start + 12 * HOUR
-    clock = SetClock(noon)
-    with client(Service(day, HERE, rehearsal=True), tmp_path, clock) as http:
-        decided(http, clock, noon)
-        site_of, seen = (http.get(f"/v1/{name}").json() for name in ("site", "overview"))
-        assert site_of["thermal_loads"]["h0"] == {"t_min_c": 20.0, "t_max_c": 26.0}
-        assert site_of["dimmable"] == {"homes": 0.5}
-        short = seen["plan"]["ahead"]["left_short"]["k0"]
-        needed_kwh = 54.0 - 18.0 - 2 * 0.92 * 7.4
-        assert short["vehicle"] == "van" and short["leaves"] == written(noon + 2 * HOUR)
-        assert short["short_kwh"] == pytest.approx(needed_kwh, abs=1e-3)
-        assert seen["plan"]["expected"]["vehicles"]["k0"]["energy_kwh"] == 18.0
-        good = [
-            {"kind": "chargers", "asset": "k0", "p_limit_kw": 3.0},
-            {"kind": "thermal_loads", "asset": "h0", "setpoint_c": 22.5},
-            {"kind": "customers", "asset": "homes", "served": True, "share": 0.6},
-        ]
-        mode = {"mode": "manual", "until": written(noon + 3 * HOUR), "reason": "a test"}
-        for one, change, words in (
-            (0, {"p_limit_kw": 11.0}, "beyond its rating of 7.4 kW"),
-            (1, {"setpoint_c": 18.0}, "outside its comfort band of 20 to 26"),
-            (2, {"share": 0.4}, "below the least share of 0.5"),
-            (0, {"p_limit_kw": None, "p_kw": 3.0}, "p_limit_kw for chargers"),
-        ):
-            refused = http.put("/v1/mode", {**mode, "setpoints": [{**good[one], **change}]})
-            assert refused.status == 422 and words in json.dumps(refused.json()), words
-        assert http.put("/v1/mode", {**mode, "setpoints": good}).status == 200
-        plan = decided(http, clock, noon + HOUR)
-        assert plan["status"] == "manual"
-        point = said(plan, "chargers")["k0"]
-        assert point["p_kw"] == point["p_limit_kw"] == 3.0
-        assert said(plan, "thermal_loads")["h0"]["setpoint_c"] == 22.5
-        assert said(plan, "customers")["homes"]["share"] == 0.6
 
 
 WORDS_OF_ROOMS = """
