@@ -21,8 +21,9 @@ from vppres.core.arrays import Floats
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
+from vppres.explain.phased import PhasedStep
 from vppres.explain.prices import step_prices
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
@@ -265,11 +266,13 @@ def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> No
     day = plugged_in(day, (0.0, 2.0), capacity_kwh=100.0, soc_needed=0.9)
     for each in (day, formed_by_a_set(street, [8.0, 13.0])):
         run = run_day(each, RunOptions(horizon_h=0.0, isolate=False))
-        recorded = Recorded(run)
+        windows = Windows(run)
         kva = run.steps[FORMER_KVA].to_numpy(float)
         for t in range(2):
-            assert np.abs(recorded.former_kva(t)) == pytest.approx(kva[t], abs=1e-3)
-            window = recorded.seen(t).phased
+            assert np.abs(PhasedStep(windows.recorded, t).former_kva) == pytest.approx(
+                kva[t], abs=1e-3
+            )
+            window = windows.seen(t).phased
             assert np.abs(window.former_kva[0]) == pytest.approx(kva[t], abs=1e-3)
     words = explain_day(run).explanations
     assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])
@@ -280,11 +283,11 @@ def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
     street: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     day = on_phase_a(street, 12.0, [np.inf, DARK])
-    recorded = Recorded(run_of(day, horizon_h=1.0))
+    windows = Windows(run_of(day, horizon_h=1.0))
 
     def prices(t: int, letters: int) -> dict[str, Floats]:
-        model = ShadowPriceModel(recorded.site, recorded.seen(t).n_steps, recorded.beyond_at(t))
-        found = step_prices(recorded, model, t)
+        model = ShadowPriceModel(windows.site, windows.seen(t).n_steps, windows.beyond_at(t))
+        found = step_prices(windows, model, t)
         assert len({"u", "P_flow", "Q_flow"} & model.first.keys()) == letters
         level = found.service if found.cost is None else found.cost
         names = ("stored_energy", "active", "reactive", "former_phase", "battery_inverter")

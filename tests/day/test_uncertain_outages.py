@@ -19,7 +19,7 @@ from vppres.day.run_files import read_run
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.kinds.export.physics import Export
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
@@ -331,9 +331,9 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
     run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
     believed = believed_outages(run.scenario, run.options)
     words = run.explanations[run.explanations["item"] == "step"]["words"].tolist()
-    recorded = Recorded(run)
+    windows = Windows(run)
     b, c = tiny.batteries, tiny.customers
-    other = WindowSolver(recorded.site, method="monolithic")
+    other = WindowSolver(windows.site, method="monolithic")
     told = [t for t in range(6) if "energy is kept until" in words[t]]
     assert {1, 2, 3} <= set(told)
     for t in told:
@@ -343,7 +343,7 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
             words[t],
         )
         share, end, until, chance, gbp, hours = found.groups()
-        held = recorded.soc_end[t] - b.soc_min
+        held = windows.recorded.done.soc[t + 1] - b.soc_min
         kwh = float(b.energy_kwh @ held)
         assert int(share) == round(100 * kwh / float(b.energy_kwh @ (b.soc_max - b.soc_min)))
         times = [f"{time:%H:%M}" for time in (*tiny.grid.times, tiny.grid.end)]
@@ -352,12 +352,12 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
         needed = float(run.scenario.load_kw[t:, 0].mean())
         assert float(hours) == pytest.approx(kwh * float(b.eta_discharge[0]) / needed, rel=0.05)
         # The same step without a value of what is left.
-        window = recorded.seen(t)
+        window = windows.seen(t)
         alone = other.solve(replace(window.first(1), stored_value=None)).dispatch
-        served = recorded.served[t]
+        served = windows.recorded.done.served[t]
         lost = float((alone.served[0].astype(float) - served) @ c.weight)
         price = float(tiny.price_gbp_per_kwh[t])
-        imported = 0.0 if run.scenario.outage[t] else recorded.imported_kw(t)
+        imported = 0.0 if run.scenario.outage[t] else windows.recorded.done.p_grid_kw[t]
         costs = window.stored_value.gbp_per_service * lost
         costs += price * (imported - float(alone.p_grid_kw[0]))
         assert float(gbp or 0.0) == pytest.approx(max(costs, 0.0), abs=0.6)

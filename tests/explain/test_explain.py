@@ -21,8 +21,8 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
 from vppres.explain.prices import day_prices
-from vppres.explain.recorded import Recorded
 from vppres.explain.step import DRIVERS, Driver
+from vppres.explain.windows import Windows
 from vppres.explain.words import figure, hours
 from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
@@ -273,14 +273,14 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
     "t", [6, 9, *(pytest.param(t, marks=pytest.mark.nightly) for t in (2, 7, 12))]
 )
 def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
-    recorded = Recorded(heatwave)
-    data = recorded.seen(t)
-    held = recorded.held(t, data.n_steps)
-    model = ShadowPriceModel(recorded.site, data.n_steps)
+    windows = Windows(heatwave)
+    data = windows.seen(t)
+    held = windows.held(t, data.n_steps)
+    model = ShadowPriceModel(windows.site, data.n_steps)
     before = price_window(model, data, held, SERVICE)
     for battery in (0, 17):
         per_kwh = np.zeros(len(data.soc))
-        per_kwh[battery] = 1.0 / recorded.site.batteries.energy_kwh[battery]
+        per_kwh[battery] = 1.0 / windows.site.batteries.energy_kwh[battery]
         values = []
         for kwh in (0.1, -0.1):
             after = price_window(model, replace(data, soc=data.soc + kwh * per_kwh), held, SERVICE)
@@ -615,9 +615,7 @@ def test_figures_have_two_digits_that_count() -> None:
 
 @pytest.mark.nightly
 def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:
-    solver_s = [
-        prices.solver_s for prices in day_prices([Recorded(heatwave)] * len(heatwave.steps))
-    ]
+    solver_s = [prices.solver_s for prices in day_prices([Windows(heatwave)] * len(heatwave.steps))]
     assert len(solver_s) == 15
     # The bar is 60 ms a step on a quiet core; the median stands a busy machine.
     assert float(np.median(solver_s)) < 0.3

@@ -16,7 +16,7 @@ from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.explain.words import figure
 from vppres.model.data import WindowData
 from vppres.scenario.scenario import Scenario
@@ -50,18 +50,18 @@ ABSOLUTE = 2e-6
 class Priced:
     """A step's pricing problem at the level of service, to be solved again."""
 
-    recorded: Recorded
+    windows: Windows
     model: ShadowPriceModel
     data: WindowData
     held: FixedDecisions
 
     @classmethod
-    def of(cls, recorded: Recorded, t: int) -> Priced:
-        site = recorded.site
-        data = recorded.seen(t)
-        model = ShadowPriceModel(site, data.n_steps, recorded.beyond)
-        held = recorded.held(t, data.n_steps)
-        priced = cls(recorded, model, data, held)
+    def of(cls, windows: Windows, t: int) -> Priced:
+        site = windows.site
+        data = windows.seen(t)
+        model = ShadowPriceModel(site, data.n_steps, windows.beyond)
+        held = windows.held(t, data.n_steps)
+        priced = cls(windows, model, data, held)
         if not np.isnan(priced.value()):
             return priced
         free = FixedDecisions(
@@ -70,11 +70,11 @@ class Priced:
             np.zeros_like(held.mode_min),
             np.ones_like(held.mode_max),
         )
-        return cls(recorded, model, data, free)
+        return cls(windows, model, data, free)
 
     @property
     def terms(self) -> PricedTerms:
-        return PricedTerms(1.0, 0.0, self.recorded.site.weights.lambda_curt)
+        return PricedTerms(1.0, 0.0, self.windows.site.weights.lambda_curt)
 
     def value(self, held: FixedDecisions | None = None, data: WindowData | None = None) -> float:
         found = price_window(self.model, data or self.data, held or self.held, self.terms)
@@ -128,7 +128,7 @@ def of_customer(priced: Priced, customer: int) -> tuple[float, float]:
 def of_stored(priced: Priced, battery: int) -> tuple[float, float]:
     """What a kWh in a battery gains."""
     kwh = np.zeros(len(priced.data.soc))
-    kwh[battery] = 1e-3 / priced.recorded.site.batteries.energy_kwh[battery]
+    kwh[battery] = 1e-3 / priced.windows.site.batteries.energy_kwh[battery]
     values = [
         priced.value(data=replace(priced.data, soc=priced.data.soc + sign * kwh))
         for sign in (1.0, -1.0)
@@ -150,7 +150,7 @@ def of_disc(priced: Priced, item: int) -> tuple[float, float]:
 
 def gained(priced: Priced, kind: str, item: str, name: str) -> tuple[float, float]:
     """Least and most that a sentence's unit gains, solved again."""
-    site = priced.recorded.site
+    site = priced.windows.site
     network = site.network
     if kind in ("others", "customer"):
         customer = list(site.customers.id).index(item)
@@ -189,11 +189,11 @@ def numbers(words: str) -> Iterator[tuple[str, str, float]]:
 def wrong_numbers(seed: int, stressed: bool, options: RunOptions) -> tuple[int, list[str]]:
     """How many numbers the sentences of a random day have, and those that are not true."""
     run = explain_day(run_day(random_scenario(seed, stressed, n_steps=5), options))
-    recorded = Recorded(run)
+    windows = Windows(run)
     times = list(run.steps["time"])
     told = 0
     wrong = []
-    priced_at = cache(lambda time: Priced.of(recorded, times.index(time)))
+    priced_at = cache(lambda time: Priced.of(windows, times.index(time)))
     for row in run.explanations.itertuples():
         for kind, name, number in numbers(row.words):
             priced = priced_at(row.time)

@@ -15,7 +15,7 @@ from vppres.core.errors import InputError
 from vppres.day.forecasting import OWN_SERIES, MeasuredForecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.forecasts.seasonal import Seasonal
 from vppres.io.digest import scenario_digest
 from vppres.io.history import read_history
@@ -64,7 +64,7 @@ def test_a_forecast_in_a_run_is_exact_now_and_knows_nothing_later(tiny: Scenario
 def test_a_run_says_what_its_forecasts_rested_on(tiny: Scenario) -> None:
     run = run_day(remembered(tiny), SEASONAL)
     assert run.steps["forecast_basis"].tolist()[:-1] == ["model"] * 5
-    window = Recorded(run).seen(1)
+    window = Windows(run).seen(1)
     seen = Day(remembered(tiny), SEASONAL).forecaster.at(1, range(1, 4))
     np.testing.assert_array_equal(window.load_kw, seen.load_kw)
 

@@ -31,7 +31,7 @@ from vppres.day.phase_figures import phase_figures
 from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.feeders import import_network
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.io import read_scenario
@@ -431,11 +431,11 @@ def test_vehicles_rooms_and_sets_are_those_of_opendss(
 
 def check_price_of_a_phase(trajectory: Trajectory) -> None:
     """One more kVA on all phases of the former buys what their shadow prices add up to."""
-    recorded = Recorded(trajectory)
-    model = ShadowPriceModel(recorded.site, recorded.seen(0).n_steps, recorded.beyond)
-    window = recorded.seen(0)
-    held = recorded.held(0, window.n_steps)
-    terms = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
+    windows = Windows(trajectory)
+    model = ShadowPriceModel(windows.site, windows.seen(0).n_steps, windows.beyond)
+    window = windows.seen(0)
+    held = windows.held(0, window.n_steps)
+    terms = PricedTerms(1.0, 0.0, windows.site.weights.lambda_curt)
     phased = window.phased
     values = {}
     for change in (-0.01, 0.0, 0.01):

@@ -27,9 +27,9 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.explain.day import steps_of
 from vppres.explain.reasons import why_not_served
-from vppres.explain.recorded import Recorded
 from vppres.explain.room import limits_in_full
 from vppres.explain.step import Reason, Step
+from vppres.explain.windows import Windows
 from vppres.model.site import Site
 from vppres.scenario.scenario import LIMIT, SOFT, Scenario
 from vppres.solve.ladder import WindowSolver
@@ -102,16 +102,16 @@ def _checked(step: Step, customer: int) -> str:
 
 def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
     """Why a reason does not hold; empty if it does."""
-    recorded = step.recorded
+    windows = step.windows
     if reason.driver in ("dark", "fallback", "mismatch"):
         return ""
-    gain = _gain_of_run(recorded, step.t)
-    forced = _solved(recorded, step.t, recorded.site, {customer: 1})
+    gain = _gain_of_run(windows, step.t)
+    forced = _solved(windows, step.t, windows.site, {customer: 1})
     on = forced is not None and bool(forced.dispatch.served[0, customer])
-    tolerance = TOLERANCE * float(recorded.site.customers.weight.min())
-    if on and forced is not None and _gain(recorded.site, forced) > gain + tolerance:
+    tolerance = TOLERANCE * float(windows.site.customers.weight.min())
+    if on and forced is not None and _gain(windows.site, forced) > gain + tolerance:
         return "a plan with the customer is worth more"
-    if not len(recorded.site.batteries) and reason.driver in ("power", "energy"):
+    if not len(windows.site.batteries) and reason.driver in ("power", "energy"):
         return _in_reach_of_sun(step, customer)
     if reason.driver in LIMITS and any(words in reason.words for words in NOT_IN_FULL):
         limits = [str(limit) for limit in limits_in_full(step, customer, reason.binding)]
@@ -124,9 +124,9 @@ def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
 
 def _not_kept(step: Step, customer: int) -> str:
     """Whether the customer could not be on in the step alone, beside all that are."""
-    recorded = step.recorded
+    windows = step.windows
     held = {int(c): 1 for c in np.flatnonzero(step.served)} | {customer: 1}
-    plan = _solved(recorded, step.t, recorded.site, held, alone=True)
+    plan = _solved(windows, step.t, windows.site, held, alone=True)
     if plan is None or not plan.dispatch.served[0, list(held)].all():
         return "the customer could not be on now, so energy is not kept"
     return ""
@@ -145,20 +145,20 @@ def _in_reach_of_sun(step: Step, customer: int) -> str:
 
 def _with_plenty(step: Step, customer: int, limits: Sequence[str], gain: float) -> str:
     """Whether the customer, or as much service, is on at no loss once limits are out of the way."""
-    recorded = step.recorded
-    site = recorded.site
+    windows = step.windows
+    site = windows.site
     for limit in limits:
         site = _without_limit(site, limit)
     held = {int(c): 1 for c in np.flatnonzero(step.served)} | {customer: 1}
-    weight_h = float(recorded.site.customers.weight[customer]) * recorded.site.dt_h
-    plan = _solved(recorded, step.t, site, {}, limits)
-    if plan is not None and _gain(recorded.site, plan) >= gain + weight_h * (1.0 - TOLERANCE):
+    weight_h = float(windows.site.customers.weight[customer]) * windows.site.dt_h
+    plan = _solved(windows, step.t, site, {}, limits)
+    if plan is not None and _gain(windows.site, plan) >= gain + weight_h * (1.0 - TOLERANCE):
         return ""
-    plan = _solved(recorded, step.t, site, held, limits)
+    plan = _solved(windows, step.t, site, held, limits)
     plenty = " and ".join(limits)
     if plan is None or not plan.dispatch.served[0, list(held)].all():
         return f"off with plenty of {plenty} too"
-    if _gain(recorded.site, plan) < gain:
+    if _gain(windows.site, plan) < gain:
         return f"others lose with plenty of {plenty}"
     return ""
 
@@ -183,7 +183,7 @@ def _without_limit(site: Site, limit: str) -> Site:
 
 
 def _solved(
-    recorded: Recorded,
+    windows: Windows,
     t: int,
     site: Site,
     first: dict[int, int],
@@ -194,7 +194,7 @@ def _solved(
 
     With ``alone`` the window ends with the step.
     """
-    seen = recorded.observation(t)
+    seen = windows.observation(t)
     if alone:
         seen = replace(seen, forecast=seen.forecast.first(1))
     weight = site.customers.weight.copy()
@@ -209,9 +209,9 @@ def _solved(
         seen = replace(seen, forecast=replace(forecast, grid_limit_kw=free))
     solver = WindowSolver(site, limits=PATIENT)
     planner: Any = OnePass(solver)
-    if recorded.options["mode"] == "physical":
+    if windows.recorded.options["mode"] == "physical":
         # Headroom is a share of the rating: it stays what it is in kW.
-        share = float(recorded.options["headroom"])
+        share = float(windows.recorded.options["headroom"])
         planner = ConvergedPlanner(solver, share / PLENTY if "power" in limits else share)
     try:
         solution: WindowSolution = planner.plan(seen)
@@ -221,11 +221,11 @@ def _solved(
 
 
 @cache
-def _gain_of_run(recorded: Recorded, t: int) -> float:
+def _gain_of_run(windows: Windows, t: int) -> float:
     """Service and curtailment of the window as it is solved without any wish."""
-    plan = _solved(recorded, t, recorded.site, {})
+    plan = _solved(windows, t, windows.site, {})
     assert plan is not None
-    return _gain(recorded.site, plan)
+    return _gain(windows.site, plan)
 
 
 def _gain(site: Site, solution: WindowSolution) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,13 @@ class GridSeen:
             over = replace(self.outages[-1], end=time)
             return GridSeen((*self.outages[:-1], over), limit_kw)
         return self if dark else replace(self, import_kw=limit_kw)
+
+
+def grid_history(scenario: Scenario) -> list[GridSeen]:
+    """History of the grid up to each step of a day."""
+    steps = zip(scenario.grid.times, scenario.grid_limit_kw.tolist(), strict=True)
+    found = accumulate(steps, lambda seen, now: seen.after(*now), initial=GridSeen())
+    return list(found)[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,11 +283,9 @@ def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
     T = scenario.grid.n_steps
     most = scenario.grid.steps_in_horizon(LOOKAHEAD_H)
     found = np.full((T, T), np.nan)
-    seen = GridSeen()
-    for t, now in enumerate(times):
-        seen = seen.after(now, float(scenario.grid_limit_kw[t]))
+    for t, seen in enumerate(grid_history(scenario)):
         ahead = min(most, T - t)
-        found[t, t : t + ahead] = view.outlook.at(now, ahead, seen.outages).out_probability
+        found[t, t : t + ahead] = view.outlook.at(times[t], ahead, seen.outages).out_probability
     return found
 
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vppres.contract.ahead import KindsAhead, past_days_of
 from vppres.contract.decision import Decider, Decision, SolveInfo, Switched
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError, VppresError, function_of
 from vppres.day.assembly import make_controller
@@ -24,8 +21,9 @@ from vppres.day.checks import check_parts
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import DayForecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.kind_tables import records_of
+from vppres.day.observer import Observer
 from vppres.day.options import PERFECT, RunOptions
-from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
+from vppres.day.outages import BELIEF, LIKELY
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import (
@@ -163,6 +161,7 @@ class Day:
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
         )
+        self.observer = Observer(scenario, self.options.as_record(), self.forecaster)
         moves = self.options.move_switches and scenario.switches.movable.any()
         self.recorder = Recorder(scenario, self.branches if moves else None)
         self.operating_point: OperatingPoint | None = None
@@ -170,48 +169,28 @@ class Day:
         self.import_kw: float | None = None
         self.served: Flags | None = None
         self.flexible_kw: float | None = None
-        self.outages = OutageView.create(scenario, self.options.as_record())
-        self.grid_seen = GridSeen()
         self.outage_messages = ""
 
     def observe(self, controller: Decider, t: int) -> Observation:
         """Observation of the controller at step ``t``."""
-        steps = controller.horizon_steps(t)
-        forecast = self.forecaster.at(t, steps)
         s = self.state
-        ends = steps.stop == self.scenario.grid.n_steps
-        seen = Observation(
-            t,
-            forecast,
-            s.soc,
-            s.eta_charge,
-            s.eta_discharge,
-            self.plant.switching,
-            self.plant.owed,
-            np.ones(len(s.soc), dtype=bool),
+        seen = self.observer.at(
+            controller.horizon_steps(t),
+            self.plant.states_at(t),
+            soc=s.soc,
+            eta_charge=s.eta_charge,
+            eta_discharge=s.eta_discharge,
+            switching=self.plant.switching,
+            owed=self.plant.owed,
+            online=np.ones(len(s.soc), dtype=bool),
             operating_point=self.operating_point,
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
             flexible_kw=self.flexible_kw,
-            ahead=self.ahead(steps),
-            terminal=Terminal.of(self.options.soc_end, forecast, ends),
-            ends=ends,
         )
-        now = self.scenario.grid.times[t]
-        self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
-        seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
         return self.faults.observe(seen) if self.faults else seen
-
-    def ahead(self, steps: range) -> KindsAhead:
-        """Flexible power as it is known at the beginning of a window."""
-        states = self.plant.states_at(steps.start)
-        return KindsAhead.of(self.scenario, steps, states, self._past_days)
-
-    @cached_property
-    def _past_days(self) -> dict[str, Any]:
-        return past_days_of(self.scenario, self.options.seed)
 
     def run(
         self, controller: Decider, progress: Progress | None = None, steps: int | None = None

@@ -15,12 +15,12 @@ from vppres.day.simulate import Progress
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed
-from vppres.explain.recorded import MOVE_KW, Recorded
+from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.explain.windows import Windows
 from vppres.kinds.customer import reasons as customer
 from vppres.kinds.table import KINDS, parts
-from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
 from vppres.solve.shadow_prices import ShadowPrices
@@ -69,45 +69,45 @@ def explain_day(trajectory: Trajectory, progress: Progress | None = None) -> Tra
 
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
-    [recorded] = _weighed(trajectory, slice(t, t + 1))
-    n_steps = recorded.seen(t).n_steps
-    model = ShadowPriceModel(recorded.site, n_steps, recorded.beyond_at(t))
+    [windows] = _weighed(trajectory, slice(t, t + 1))
+    n_steps = windows.seen(t).n_steps
+    model = ShadowPriceModel(windows.site, n_steps, windows.beyond_at(t))
     phase = trajectory.steps["phase"].iloc[t]
-    step = Step(recorded, t, phase, step_prices(recorded, model, t))
+    step = Step(windows, t, phase, step_prices(windows, model, t))
     return [{"phase": phase, **row} for row in _actions(step)], _prices(step)
 
 
 def steps_of(trajectory: Trajectory, progress: Progress | None = None) -> list[Step]:
     """Every step of a run with its phase and its shadow prices."""
-    recorded = _weighed(trajectory, slice(None))
+    windows = _weighed(trajectory, slice(None))
     return [
         Step(one, t, phase, prices)
         for t, (one, phase, prices) in enumerate(
-            zip(recorded, trajectory.steps["phase"], day_prices(recorded, progress), strict=True)
+            zip(windows, trajectory.steps["phase"], day_prices(windows, progress), strict=True)
         )
     ]
 
 
-def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
-    """The record for each of some steps, in its configuration and with the weights of its plan.
+def _weighed(trajectory: Trajectory, steps: slice) -> list[Windows]:
+    """The windows for each of some steps, in its configuration and with the weights of its plan.
 
-    Steps with the same share it.
+    Steps with the same share them.
     """
     which = range(len(trajectory.steps))[steps]
     rotated = ROTATED in trajectory.customers
     weights = trajectory.by_step("customers", ROTATED) if rotated else None
     closed = configurations_of(trajectory)
-    found: dict[tuple[bytes, ...], Recorded] = {}
-    recorded = []
+    found: dict[tuple[bytes, ...], Windows] = {}
+    windows = []
     for t in which:
         weight = None if weights is None else weights[t]
         now = None if closed is None else closed[t]
         key = tuple(b"" if each is None else each.tobytes() for each in (weight, now))
         if key not in found:
             run = trajectory if now is None else run_in(trajectory, now)
-            found[key] = Recorded(run, weight)
-        recorded.append(found[key])
-    return recorded
+            found[key] = Windows(run, weight)
+        windows.append(found[key])
+    return windows
 
 
 def _actions(step: Step) -> list[Row]:
@@ -127,7 +127,7 @@ def _actions(step: Step) -> list[Row]:
     ]
     rows += [
         _row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
-        for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()
+        for p in np.flatnonzero(step.recorded.done.pv_curtailed_kw[t] > MOVE_KW).tolist()
     ]
     reasons = parts("reasons")
     for kind in site.kinds:
@@ -175,8 +175,8 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
     ends = zip(net.from_bus, net.to_bus, strict=True)
     lines = np.array([f"{above} to {below}" for above, below in ends], dtype=object)
     if site.phases:
-        lines = np.array(phased_model(site).rated, dtype=object)
-    supply = step.recorded.supply(step.t) if site.phases else None
+        lines = np.array(step.phased.model.rated, dtype=object)
+    supply = step.phased.supply if site.phases else None
     of_former = [*PHASES] if site.phases else []
     if supply is not None and len(supply.fed) > 1:
         sources = [former or "the grid" for _, former in supply.fed]

@@ -110,14 +110,14 @@ def kept_in(step: Step) -> Kept | None:
         return None
     if not step.outage and worth <= step.dearest_gbp:
         return None
-    ahead = step.recorded.believed[step.t, step.t + 1 :]
+    ahead = step.windows.believed[step.t, step.t + 1 :]
     possible = np.flatnonzero(np.nan_to_num(ahead) >= POSSIBLE)
     b = step.site.batteries
-    held_kwh = float(b.energy_kwh @ (step.recorded.soc_end[step.t] - b.soc_min))
+    held_kwh = float(b.energy_kwh @ (step.soc_end - b.soc_min))
     most_kwh = float(b.energy_kwh @ (b.soc_max - b.soc_min))
     for kind, kwh_each in window.stored_value.kwh_each.items():
         for left, most in KINDS[kind].store:
-            held_kwh += float(step.recorded.of_kind(kind, left)[step.t] @ kwh_each)
+            held_kwh += float(step.of_items(KINDS[kind].table, left) @ kwh_each)
             most_kwh += float(getattr(step.site.kinds[kind], most) @ kwh_each)
     first = step.site.customers.tier == step.scenario.tiers[0]
     needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
@@ -146,12 +146,12 @@ def _costs_gbp(step: Step) -> float | None:
     value = step.levels.window.stored_value
     assert value is not None
     try:
-        alone = step.recorded.solver.solve(replace(window, stored_value=None)).dispatch
+        alone = step.windows.solver.solve(replace(window, stored_value=None)).dispatch
     except SolveError:
         return None
     dt_h = step.site.dt_h
     weight = step.site.customers.weight
     lost = float((alone.served[0].astype(float) - step.served) @ weight) * dt_h
-    imported_kw = 0.0 if step.outage else step.recorded.imported_kw(step.t)
+    imported_kw = 0.0 if step.outage else step.imported_kw
     spent = step.price_gbp_per_kwh * (imported_kw - float(alone.p_grid_kw[0])) * dt_h
     return max(value.gbp_per_service * lost + spent, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import LimitError, ModelError
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
 from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
@@ -71,7 +71,7 @@ class StepPrices:
 
 
 def day_prices(
-    recorded: Sequence[Recorded], progress: Callable[[int, int], None] | None = None
+    windows: Sequence[Windows], progress: Callable[[int, int], None] | None = None
 ) -> list[StepPrices]:
     """Shadow prices of every step of a run.
 
@@ -80,7 +80,7 @@ def day_prices(
     """
     models: dict[tuple[int, Beyond, int], ShadowPriceModel] = {}
     found = []
-    for t, one in enumerate(recorded):
+    for t, one in enumerate(windows):
         beyond = one.beyond_at(t)
         n_steps = one.seen(t).n_steps
         key = id(one), beyond, n_steps
@@ -88,13 +88,13 @@ def day_prices(
             models[key] = ShadowPriceModel(one.site, n_steps, beyond)
         found.append(step_prices(one, models[key], t))
         if progress is not None:
-            progress(t + 1, len(recorded))
+            progress(t + 1, len(windows))
     return found
 
 
-def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:
+def step_prices(windows: Windows, model: ShadowPriceModel, t: int) -> StepPrices:
     """Shadow prices of one step."""
-    window = recorded.seen(t)
+    window, recorded = windows.seen(t), windows.recorded
     left_out = recorded.left_out(t)
     late = False
 
@@ -114,9 +114,9 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
             return None
         return answer if answer is None else _of_the_others(answer, left_out)
 
-    held = recorded.held(t, window.n_steps)
+    held = windows.held(t, window.n_steps)
     limited = bool(np.isfinite(window.grid_limit_kw).any())
-    if recorded.served[t].all() and not limited:
+    if recorded.done.served[t].all() and not limited:
         everyone = np.ones_like(held.service_min)
         cost = price(replace(held, service_min=everyone), _cost_alone(0.0))
         if cost is not None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vppres.core.text import named
 from vppres.day.options import RULES
+from vppres.day.recorder import OFF_BY_FAULT
 from vppres.explain.kept import kept_for
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
@@ -30,7 +31,6 @@ from vppres.explain.words import (
     too_little,
 )
 from vppres.kinds.export import reasons as export
-from vppres.model.phases import phased_model
 from vppres.scenario.network import BusId
 
 OFF_PRICE = 0.02
@@ -59,10 +59,10 @@ def why_not_served(step: Step, customer: int) -> Reason:
     said = overruled(step, "Not supplied")
     if said is not None:
         return said
-    fault = step.recorded.off_by_fault[step.t][customer]
+    fault = step.of_items("customers", OFF_BY_FAULT, "")[customer]
     if fault:
         return Reason("fault", "", f"Not supplied: {fault}.")
-    if step.recorded.shed[step.t][customer]:
+    if step.of_items("customers", "shed")[customer]:
         why = (
             step.recorded.note(step.t, "ac_failed")
             or "the grid-forming batteries could not supply it"
@@ -242,8 +242,8 @@ def _from_the_record(step: Step, customer: int) -> Reason:
     if phase is not None:
         words = f"Not supplied: {phase_name(step, phase)} would be overloaded."
         return Reason("phase", "phase", words)
-    empty = step.recorded.soc_end[step.t] <= step.site.batteries.soc_min + 1e-3
-    low = step.recorded.v_ac_pu[step.t] <= step.scenario.network.v_min_pu + 2e-3
+    empty = step.soc_end <= step.site.batteries.soc_min + 1e-3
+    low = step.recorded.done.v_pu[step.t] <= step.scenario.network.v_min_pu + 2e-3
     found: tuple[tuple[bool, Scarce], ...] = (
         (step.outage and len(empty) > 0 and bool(empty.all()), "energy"),
         (step.outage and bool(step.at_power.any()), "power"),
@@ -268,7 +268,7 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
     said = overruled(step, verb)
     if said is not None:
         return said
-    mismatch = float(step.recorded.battery_note(step.t, "mismatch_kw")[battery])
+    mismatch = float(np.nan_to_num(step.of_items("batteries", "mismatch_kw"))[battery])
     if abs(mismatch) > abs(power) / 2:
         return Reason(
             "mismatch",
@@ -298,7 +298,7 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
     if limit in ("power", "inverter"):
         words = f"Discharges as much as {SCARCE[limit]} allows"
         if limit == "inverter":  # reactive power may leave little of it
-            kvar = abs(float(step.recorded.batt_q_kvar[step.t][battery]))
+            kvar = abs(float(step.recorded.done.batt_q_kvar[step.t][battery]))
             words = f"{words} beside {figure(kvar)} kvar"
         return Reason(limit, limit, _sentence(words, one_more(step, limit, battery)))
     worth = float(step.service.kept_energy[battery])
@@ -324,7 +324,7 @@ def _relieved_phase(step: Step, battery: int) -> int | None:
     if phases is None:
         return None
     asset = _asset_index(step, battery)
-    if asset in phased_model(step.site).devices(step.recorded.source(step.t)):
+    if asset in step.phased.model.devices(step.phased.source):
         return None
     cost = phases.active[:, asset]
     return int(np.argmax(cost)) if cost.max() > WORTH else None
@@ -345,7 +345,7 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
     if line is not None:
         words = f"{verb}: keeps {line_words(step, line)} within its limit."
         return Reason("rating", "rating", words)
-    if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
+    if charges and step.imported_kw < MOVE_KW:
         return Reason(
             "surplus",
             limit,
@@ -402,7 +402,7 @@ def _relieved_line(step: Step, battery: int) -> int | None:
 def _at_limit(step: Step, battery: int) -> Binding:
     """The limit that a battery reached in the step, empty if none."""
     b = step.site.batteries
-    soc_end = float(step.recorded.soc_end[step.t][battery])
+    soc_end = float(step.soc_end[battery])
     if step.at_power[battery]:
         return "power"
     if step.at_inverter[battery]:
@@ -447,7 +447,7 @@ def _no_more_stored(step: Step, bus: BusId) -> tuple[Binding, str]:
     there = step.recorded.beside(step.t, bus) & ~step.recorded.left_out(step.t)
     if not there.any():
         return "power", "there is no battery to charge"
-    full = step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3
+    full = step.soc_end >= step.site.batteries.soc_max - 1e-3
     at_limit = full | step.at_power | step.at_inverter
     if full[there].all():
         return "energy", "the batteries are full"

@@ -13,7 +13,6 @@ from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
 from vppres.model.data import PhasedWindow
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
-from vppres.model.phases import Slopes, phased_model
 
 
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
@@ -61,42 +60,34 @@ def overloaded_line(step: Step, customer: int) -> int | None:
     most_kva = step.levels.window.flow_max_kva
     if not len(most_kva):
         return None
-    now = step.recorded.flow_kw[step.t] + 1j * step.recorded.flow_kvar[step.t]
+    now = step.recorded.done.p_flow_kw[step.t] + 1j * step.recorded.done.q_flow_kvar[step.t]
     kw, kvar = _flows_for(step, customer)
     return _furthest(now, now + (kw + 1j * kvar), most_kva[0])
 
 
 def _overloaded_current(step: Step, customer: int) -> int | None:
     """Current of a phased feeder that a customer's demand would overload most, None if none."""
-    model = phased_model(step.site)
-    if step.dark or not model.rated:
+    phased = step.phased
+    if step.dark or not phased.model.rated:
         return None
-    slopes = model.supplies[step.recorded.source(step.t)].slopes
-    kw, kvar = _demand(step, customer)
-    now = step.recorded.currents(step.t)
-    more = now + slopes.currents(*_alone(slopes, customer, kw, kvar))[0]
+    now = phased.currents
+    more = now + phased.slopes.currents(*phased.alone(customer))[0]
     return _furthest(now, more, np.ones(len(now)))
-
-
-def _alone(slopes: Slopes, customer: int, kw: float, kvar: float) -> tuple[Floats, Floats]:
-    """Powers of all assets of which one draws, (1, D) each."""
-    one = np.arange(slopes.former_p.shape[1])[None, :] == customer
-    return one * kw, one * kvar
 
 
 def overloaded_phase(step: Step, customer: int) -> int | None:
     """The former's phase that all demand of a customer would take furthest beyond its room."""
-    phased = step.levels.window.phased
-    if not phased or step.dark:
+    window = step.levels.window.phased
+    if not window or step.dark:
         return None
-    supply = step.recorded.supply(step.t)
+    supply = step.phased.supply
     if supply is None or not supply.forms.any():
         return None
     slopes = supply.slopes
     kw, kvar = _demand(step, customer)
-    now = step.recorded.former_kva(step.t)
+    now = step.phased.former_kva
     more = now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar
-    room_kva = phased.room_kva[0, : len(supply.forms)]
+    room_kva = window.room_kva[0, : len(supply.forms)]
     return _furthest(now, more, np.where(supply.forms, room_kva, np.inf))
 
 
@@ -134,7 +125,7 @@ def _under_voltage(step: Step, customer: int) -> bool:
     drop = voltage_drop_pu2(net, kw[None, :], kvar[None, :]) @ net.downstream
     fall = np.asarray(drop)[0]
     held = int(np.argmin(fall)) if step.outage else 0
-    before = net.u_pu2(step.recorded.v_ac_pu[step.t])
+    before = net.u_pu2(step.recorded.done.v_pu[step.t])
     after = before - (fall - fall[held])
     lowest = step.levels.window.u_limits_pu2(net)[0][0]
     return bool(((after < lowest) & (after < before)).any())
@@ -142,9 +133,9 @@ def _under_voltage(step: Step, customer: int) -> bool:
 
 def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool:
     """Whether a node of a phased feeder would fall below its least voltage."""
-    model = phased_model(step.site)
-    slopes = model.supplies[step.recorded.source(step.t)].slopes
-    kw, kvar = _demand(step, customer)
-    change = slopes.changes(*_alone(slopes, customer, kw, kvar))[0][0]
-    after = step.recorded.v_node_pu[step.t] ** 2 + change
-    return bool(((after < phased.u_min[0]) & (change < 0.0) & model.limited).any())
+    change = step.phased.slopes.changes(*step.phased.alone(customer))[0][0]
+    before = step.recorded.done.v_node_pu
+    assert before is not None
+    after = before[step.t] ** 2 + change
+    limited = step.phased.model.limited
+    return bool(((after < phased.u_min[0]) & (change < 0.0) & limited).any())

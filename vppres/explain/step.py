@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vppres.control.converged import physics_of
 from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
+from vppres.explain.phased import PhasedStep
 from vppres.explain.prices import WORTH, StepPrices
-from vppres.explain.recorded import Recorded
+from vppres.explain.windows import Windows
 from vppres.kinds.customer.physics import due
-from vppres.model.phases import GRID, phased_model
-from vppres.physics.phased_sources import buses_of
 from vppres.scenario.formers import bus_of_former, forming_batteries, largest_forming_battery
 from vppres.scenario.network import BusId
 from vppres.solve.shadow_prices import ShadowPrices
@@ -76,10 +76,6 @@ DRIVERS: dict[str, str] = {
 
 Binding = Scarce | Literal[""]
 
-ON_THE_WAY = 0.25
-"""kVA through a phase of a line by a kW of an asset from which it is on the asset's way: a third of
-what has three phases."""
-
 
 @dataclass(frozen=True)
 class Reason:
@@ -93,7 +89,9 @@ class Reason:
 class Step:
     """A step of a run with its shadow prices."""
 
-    def __init__(self, recorded: Recorded, t: int, phase: Phase, prices: StepPrices) -> None:
+    def __init__(self, windows: Windows, t: int, phase: Phase, prices: StepPrices) -> None:
+        recorded = windows.recorded
+        self.windows = windows
         self.recorded = recorded
         self.t = t
         self.phase = phase
@@ -102,9 +100,28 @@ class Step:
         self.scenario = recorded.scenario
         self.outage = bool(recorded.scenario.outage[t])
         self.load_kw = recorded.load_kw[t]
-        self.served = recorded.served[t]
-        self.share = recorded.share[t]
+        self.served = recorded.done.served[t]
+        self.share = recorded.done.supplied[t]
         self.battery_kw = recorded.battery_kw[t]
+
+    def of_items(self, table: str, column: str, nothing: object = 0.0) -> NDArray[Any]:
+        """A column of a table in the step, a value for each item; nothing where there is none."""
+        return self.recorded.of_items(self.t, table, column, nothing)
+
+    @property
+    def soc_end(self) -> Floats:
+        """States of charge at its end, (B,)."""
+        return np.asarray(self.recorded.done.soc[self.t + 1])
+
+    @property
+    def imported_kw(self) -> float:
+        """Import at the slack bus."""
+        return float(self.recorded.done.p_grid_kw[self.t])
+
+    @cached_property
+    def phased(self) -> PhasedStep:
+        """The step of a phased feeder."""
+        return PhasedStep(self.recorded, self.t)
 
     @cached_property
     def ended(self) -> Flags:
@@ -124,7 +141,7 @@ class Step:
     @property
     def at_inverter(self) -> Flags:
         """Batteries at their inverter rating, to 0.1%, (B,)."""
-        apparent = np.hypot(self.battery_kw, self.recorded.batt_q_kvar[self.t])
+        apparent = np.hypot(self.battery_kw, self.recorded.done.batt_q_kvar[self.t])
         return np.asarray(apparent >= 0.999 * self.site.batteries.s_max_kva)
 
     @cached_property
@@ -135,7 +152,7 @@ class Step:
         """
         if not self.outage:
             return np.inf
-        return float(self._more_kw.sum() + self.recorded.curtailed_kw[self.t].sum())
+        return float(self._more_kw.sum() + self.recorded.done.pv_curtailed_kw[self.t].sum())
 
     @property
     def spare_now_kw(self) -> float:
@@ -143,7 +160,7 @@ class Step:
         if not self.dark_steps:
             return np.inf
         more_kw = np.minimum(self._more_kw, self.kept_kwh[0] / self.site.dt_h)
-        return float(more_kw.sum() + self.recorded.curtailed_kw[self.t].sum())
+        return float(more_kw.sum() + self.recorded.done.pv_curtailed_kw[self.t].sum())
 
     @property
     def source_bus(self) -> BusId:
@@ -182,14 +199,16 @@ class Step:
             headroom = float(self.recorded.options["headroom"])
             lowest = lowest + physics_of(self.site, window, headroom).soc_reserve
         steps = np.arange(self.dark_steps)
-        kept = np.maximum(self.recorded.soc_end[self.t + steps] - lowest[steps], 0.0)
+        kept = np.maximum(self.recorded.done.soc[1 + self.t + steps] - lowest[steps], 0.0)
         return np.asarray(kept * b.energy_kwh * window.eta_discharge)
 
     @property
     def off_later(self) -> bool:
         """Whether a customer goes without full supply in a later step of the window."""
         later = slice(self.t + 1, self.t + self.levels.window.n_steps)
-        return bool((self.recorded.share[later] * self.recorded.served[later] < 1.0).any())
+        return bool(
+            (self.recorded.done.supplied[later] * self.recorded.done.served[later] < 1.0).any()
+        )
 
     @property
     def dark_steps(self) -> int:
@@ -315,7 +334,7 @@ class Step:
         Of a phased feeder that of each phase of a line with a rating, (k,).
         """
         if self.site.phases:
-            return np.abs(self.recorded.currents(self.t))
+            return np.abs(self.phased.currents)
         return np.asarray(np.nan_to_num(self.recorded.loading[self.t]))
 
     def full_line(self, bus: str) -> int | None:
@@ -327,21 +346,12 @@ class Step:
         if not self.site.phases:
             on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
         else:
-            on_way = self._phases_towards(bus)
+            on_way = self.phased.towards(bus)
         worth = 0.0 * on_way if self.service is None else self.service.line_rating * on_way
         if worth.max(initial=0.0) > WORTH:
             return int(np.argmax(worth))
         load = self.loading * on_way
         return int(np.argmax(load)) if load.max(initial=0.0) > AT_RATING else None
-
-    def _phases_towards(self, bus: str) -> Flags:
-        """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
-        model = phased_model(self.site)
-        at = buses_of(self.site) == bus
-        slopes = model.supplies[max(self.recorded.source(self.t), GRID)].slopes
-        each = np.eye(len(at))[at]
-        through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.rated_kva
-        return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)
 
     def scarce_for(self, customer: int) -> Binding:
         """Limit that most binds the supply of a customer, empty if none does."""

@@ -12,7 +12,6 @@ from vppres.core.units import h_to_minutes
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.kinds.table import KINDS
-from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
@@ -131,7 +130,7 @@ def line_words(step: Step, line: int) -> str:
 def line_name(step: Step, line: int) -> str:
     """A line or transformer with the buses at its ends, of a phased feeder with its phase."""
     if step.site.phases:
-        return f"the {phased_model(step.site).rated[line]}"
+        return f"the {step.phased.model.rated[line]}"
     net = step.scenario.network
     kind = "line" if net.ratio[line] == 1.0 else "transformer"
     return f"the {kind} from {net.from_bus[line]} to {net.to_bus[line]}"
@@ -139,7 +138,7 @@ def line_name(step: Step, line: int) -> str:
 
 def phase_name(step: Step, phase: int) -> str:
     """A phase of the device that holds an island."""
-    supply = step.recorded.supply(step.t)
+    supply = step.phased.supply
     source, own = divmod(phase, len(PHASES))
     name = "" if supply is None else supply.fed[source][1]
     return f"phase {PHASES[own]} of {name or 'the grid'}"

@@ -24,7 +24,7 @@ def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     day = step.scenario
     if step.outage:
         return
-    seen = day.outage[step.t : step.t + step.recorded.n_seen]
+    seen = day.outage[step.t : step.t + step.windows.n_seen]
     known = step.recorded.trajectory.options["outages"]
     if known == "none" or not seen.any():
         return

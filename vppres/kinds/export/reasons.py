@@ -13,7 +13,7 @@ LIMIT_SHARE = 0.01
 
 def exported_kw(step: Step) -> float:
     """Export at the slack bus, 0 while the grid is away."""
-    return 0.0 if step.outage else max(-step.recorded.imported_kw(step.t), 0.0)
+    return 0.0 if step.outage else max(-step.imported_kw, 0.0)
 
 
 def earned(step: Step) -> str:

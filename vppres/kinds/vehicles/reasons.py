@@ -40,7 +40,7 @@ def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
 
 def _expected(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Vehicles that plans before the step expected to come at its beginning."""
-    past_days, grid = step.recorded.past_days["chargers"], step.scenario.grid
+    past_days, grid = step.windows.observer.past_days["chargers"], step.scenario.grid
     if past_days is None:
         return
     sessions = past_days.expected(grid, range(step.t, step.t + 1))
