@@ -29,6 +29,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.customer.record import off_before_h
+from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
@@ -44,9 +45,6 @@ from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import FixedDecisions
-
-MOVE_KW = 1.0
-"""Smallest power of a battery, or of curtailment, that counts as an action."""
 
 NEARLY_ALL = 1.0 - 1e-4
 """Largest share of a customer that was not served. In full, the limits of its PV system's export
@@ -116,7 +114,7 @@ class Recorded:
 
     def _ahead(self, steps: range) -> KindsAhead:
         """Flexible power as it was known at the beginning of a window."""
-        records = parts("record")
+        records = parts("words")
         states = {
             kind: records[kind].state_of(self.trajectory.rows(KINDS[kind].table, steps.start))
             for kind in units_of(self.scenario)
