@@ -20,9 +20,9 @@ from vppres.core.arrays import Floats, Names
 from vppres.feeders import import_network
 from vppres.feeders.new.scenario import DAY_PRICE, EVENING, EVENING_PRICE, NIGHT, NIGHT_PRICE
 from vppres.io import write_scenario
-from vppres.kinds.cooling.data import ThermalLoads
-from vppres.kinds.gensets.data import Gensets
-from vppres.kinds.vehicles.data import Chargers, Sessions
+from vppres.kinds.cooling import ThermalLoads
+from vppres.kinds.gensets import Gensets
+from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.priority import STRICT

@@ -21,8 +21,8 @@ from experiments.studies.precooling import heat_wave
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
-from vppres.kinds.gensets.data import Gensets
-from vppres.kinds.vehicles.data import Chargers, Sessions
+from vppres.kinds.gensets import Gensets
+from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.priority import STRICT

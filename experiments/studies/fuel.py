@@ -95,8 +95,10 @@ def run_of(scenario: Scenario, policy: str, seed: int) -> Run:
     """A day under a policy."""
     options = RunOptions(outages="belief", isolate=False).on(scenario)
     day = Day(scenario, options)
-    known = {f.name: getattr(day.outages, f.name) for f in fields(day.outages)}
-    day.outages = CountedFuel(**known, factor=POLICIES[policy])
+    view = day.observer.outages
+    known = {f.name: getattr(view, f.name) for f in fields(view)}
+    counted = CountedFuel(**known, factor=POLICIES[policy])
+    day.observer = replace(day.observer, outages=counted)
     run = day.run(make_controller(scenario, options))
     figures = summarise(run)
     critical = run.customers["tier"] == scenario.tiers[0]

@@ -20,7 +20,7 @@ from vppres.contract.observation import Observation
 from vppres.day.assembly import make_controller
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Trajectory
-from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling import ThermalLoads
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 

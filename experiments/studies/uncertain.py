@@ -194,12 +194,14 @@ def run_policy(scenario: Scenario, policy: str, seed: int) -> Trajectory:
     controller = make_controller(scenario, options)
     day = Day(scenario, options)
     if policy == TWO_STAGE:
-        view = {f.name: getattr(day.outages, f.name) for f in fields(day.outages)}
-        day.outages = TwoStageView(**view, seed=seed)
+        known = day.observer.outages
+        view = {f.name: getattr(known, f.name) for f in fields(known)}
+        day.observer = replace(day.observer, outages=TwoStageView(**view, seed=seed))
     if policy == BY_NAME:
-        outlook = day.outages.outlook
+        known = day.observer.outages
+        outlook = known.outlook
         by_name = OutlookByName(outlook.warnings, outlook.statistics, outlook.step_h)
-        day.outages = replace(day.outages, outlook=by_name)
+        day.observer = replace(day.observer, outages=replace(known, outlook=by_name))
     for t in range(scenario.grid.n_steps):
         day.step(controller, t)
     return day.recorder.finish(options.as_record(), None)

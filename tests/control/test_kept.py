@@ -19,7 +19,7 @@ from vppres.control.guard.options import GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.kinds.gensets.data import Refuels
+from vppres.kinds.gensets import Refuels
 from vppres.model.site import Site
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario

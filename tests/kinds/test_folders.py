@@ -45,6 +45,6 @@ def test_classes_of_a_kind_are_of_their_interfaces(kind: str) -> None:
 
 
 def test_what_is_lacking_is_named() -> None:
-    part = SimpleNamespace(ACTIONS={}, reasons=lambda: iter(()))
-    assert lacking(part, PARTS["reasons"]) == ["reasons of 1 values"]
-    assert lacking(SimpleNamespace(reasons=lambda step: step), PARTS["reasons"]) == ["ACTIONS"]
+    part = SimpleNamespace(KIND=None, contents=lambda: "")
+    assert lacking(part, PARTS[""]) == ["contents of 1 values"]
+    assert lacking(SimpleNamespace(contents=lambda content: ""), PARTS[""]) == ["KIND"]

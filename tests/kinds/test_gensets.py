@@ -25,8 +25,9 @@ from vppres.contract.observation import Observation
 from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
-from vppres.kinds.gensets.data import Gensets, Refuels
-from vppres.kinds.gensets.physics import Engines, SetsAhead, headroom_kw
+from vppres.kinds.gensets import Gensets, Refuels
+from vppres.kinds.gensets.physics import Engines, headroom_kw
+from vppres.kinds.kind import Planned
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.data import WindowData
@@ -173,8 +174,9 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     outage = np.repeat(day.outage[:, None], len(sets), axis=1)
     rules = (free, runs, outage, day.grid.dt_h)
     assert runs.any() and not seen.wrongly_switched(*rules).any()
-    assert seen.moved_too_fast_kw(free, runs, given_kw, day.grid.dt_h).max() < 1e-6
-    left = seen.fuel_litres(free, runs, given_kw, day.grid.dt_h)
+    plan = Planned(-given_kw, runs, runs, day.grid.dt_h)
+    assert seen.moved_too_fast_kw(free, plan).max() < 1e-6
+    left = seen.fuel_litres(free, plan)
     assert np.abs(left - np.array(fuel_litres)).max() < 1e-9
     assert left[9, 0] > left[8, 0] and left[20, 0] > left[19, 0]
 
@@ -298,7 +300,7 @@ def test_methods_agree_on_several_sets_in_parts(seed: int) -> None:
     day = replace(day, gensets=sets, batteries=replace(day.batteries, grid_forming=named))
     site, data = Site.of(day), faulted_window(day)
     data = replace(data, ahead=KindsAhead({"gensets": ahead(day)})).in_parts(site, data.parts)
-    holds = data.ahead.known(SetsAhead).holds
+    holds = data.ahead.known("gensets").holds
     beyond = at_items(data.parts.beyond, site.unit_bus["gensets"])
     assert holds.any() and beyond[holds].all()
     assert_methods_agree(site, data)
@@ -462,7 +464,7 @@ def test_methods_agree_on_random_windows_of_islands(seed: int) -> None:
 
 def test_most_random_windows_are_lit_by_a_set() -> None:
     """The fifty forming_windows above say something."""
-    formed = [forming_windows(seed)[1].ahead.find(SetsAhead) for seed in range(50)]
+    formed = [forming_windows(seed)[1].ahead.known("gensets") for seed in range(50)]
     lit = [sets is not None and bool(sets.forms.any()) for sets in formed]
     assert sum(lit) >= 35
 

@@ -20,6 +20,7 @@ from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.io.python_door import check_scenario
+from vppres.kinds.kind import Planned
 from vppres.kinds.table import KINDS, parts
 from vppres.model.site import Site
 from vppres.plant.plant import Plant
@@ -92,9 +93,9 @@ def test_the_plant_does_nothing_that_a_plan_may_not(it: Example, number: int) ->
     taken, runs = np.array(taken_kw), np.array(running)
     connected = units.connected(day.customers, served)
     assert not taken[~connected].any()
-    dt_h = day.grid.dt_h
-    assert ahead.power_beyond_kw(units, connected, taken, runs, dt_h).max() < 1e-6
-    assert ahead.stored_beyond_kw(units, connected, taken, runs, dt_h).max() < 1e-6
+    plan = Planned(taken, runs, connected, day.grid.dt_h)
+    assert ahead.power_beyond_kw(units, plan).max() < 1e-6
+    assert ahead.stored_beyond_kw(units, plan).max() < 1e-6
     reckoned = it.stored(ahead, day, taken, runs)
     assert np.abs(reckoned - np.array(held)).max() < 1e-9
 
@@ -205,7 +206,7 @@ def test_without_voltage_units_do_nothing(it: Example) -> None:
 
 @of_each_kind
 def test_a_record_adds_up_and_says_why(it: Example) -> None:
-    kind, record = KINDS[it.kind], parts("record")[it.kind]
+    kind, words = KINDS[it.kind], parts("words")[it.kind]
     run = explain_day(run_day(it.day, HERE))
     assert (run.steps["fallback"] == "none").all() and (run.steps["clipped_kw"] == 0.0).all()
     kw = run.by_step(kind.table, "p_kw").sum(axis=1) * (-1.0 if kind.gives else 1.0)
@@ -215,7 +216,7 @@ def test_a_record_adds_up_and_says_why(it: Example) -> None:
     used_kw = kw + loads_kw.sum(axis=1) + stored_kw + run.steps["losses_kw"]
     assert run.steps["p_grid_kw"].to_numpy() == pytest.approx(used_kw.to_numpy(), abs=1e-4)
     summary = summarise(run)
-    first, *back = (kwh for _, kwh in record.energies(summary[kind.table]))
+    first, *back = (kwh for _, kwh in words.energies(summary[kind.table]))
     assert first - sum(back) == pytest.approx(abs(kw.sum()) * it.day.grid.dt_h, abs=1e-9)
     for name, value in it.figures.items():
         assert summary[kind.table][name] == pytest.approx(value, abs=1e-3), name
@@ -226,21 +227,21 @@ def test_a_record_adds_up_and_says_why(it: Example) -> None:
     assert all(why[action].startswith(words) for action, words in it.why.items())
     assert it.event in {event.words for event in events_of(run)}
     page = render_report(run, summary)
-    labels = [label for label, kwh in record.energies(summary[kind.table]) if kwh]
+    labels = [label for label, kwh in words.energies(summary[kind.table]) if kwh]
     assert all(words in page for words in (it.event, *labels))
 
 
 @of_each_kind
 def test_a_record_is_played_again_from_step_to_step(it: Example) -> None:
     """What a step left is what the next one began with."""
-    kind, record = KINDS[it.kind], parts("record")[it.kind]
+    kind, words = KINDS[it.kind], parts("words")[it.kind]
     run = run_day(it.day, HERE)
     taken_kw = run.by_step(kind.table, "p_kw") * (-1.0 if kind.gives else 1.0)
     runs = run.by_step(kind.table, "running" if kind.gives else "p_kw").astype(bool)
     served = run.by_step("customers", "served")
     of_kind = Plant(it.day).units[it.kind]
     for t, now_kw in enumerate(taken_kw):
-        recorded = it.state(record.state_of(run.rows(kind.table, t)))
+        recorded = it.state(words.state_of(run.rows(kind.table, t)))
         assert recorded == pytest.approx(it.state(of_kind.at(t)), abs=1e-9)
         of_kind.advance(t, now_kw, runs[t], served[t])
 

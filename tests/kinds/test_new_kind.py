@@ -45,10 +45,11 @@ SERIES = (
     ("attributes.csv", GAIN, "[files],pool_gain_kw,file,,,,pool_gain_kw.csv,file of the gains\n"
         "pool_gain_kw.csv,time,text,,,,required,beginning of the step\n"
         "pool_gain_kw.csv,pool_gain_kw,number,kW,-1000,1000,required,"),
-    ("data.py", '    key = "pools"\n',
+    ("__init__.py", '    key = "pools"\n',
         '    key = "pools"\n    series = {"pool_gain_kw": "Gains."}\n'),
-    ("data.py", "    gain_kw: Floats = field(default_factory=no_items)\n", ""),
-    ("physics.py", "* loads.gain_kw", "* scenario.pool_gain_kw[steps.start : steps.stop]"),
+    ("__init__.py", "    gain_kw: Floats = field(default_factory=no_items)\n", ""),
+    ("physics.py", "np.broadcast_to(loads.gain_kw, begins_c.shape)",
+        "scenario.pool_gain_kw[steps.start : steps.stop]"),
     ("physics.py", "loads.gain_kw", "self.scenario.pool_gain_kw[t]"),
 )  # fmt: skip
 """What makes a series of a column in the copy: file, and one text instead of another."""

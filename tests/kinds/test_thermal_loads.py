@@ -16,7 +16,8 @@ from vppres import (
     run_day,
     summarise,
 )
-from vppres.kinds.cooling.physics import Climate, Rooms
+from vppres.core.arrays import Floats
+from vppres.kinds.cooling.physics import Climate, Rooms, rests_at_c
 from vppres.plant.plant import Plant
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -25,11 +26,10 @@ from vppres.solve.ladder import METHODS
 PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 
 
-def rooms_of(day: Scenario) -> Rooms:
-    """All steps as one window of rooms."""
+def path_c(day: Scenario, power_kw: Floats) -> Floats:
+    """Temperatures at the ends of all steps as one window."""
     rooms = Rooms.of(day, range(day.grid.n_steps), day.thermal_loads.t_initial_c)
-    assert rooms is not None
-    return rooms
+    return rooms.t_c(day.thermal_loads, power_kw, day.grid.dt_h)
 
 
 @pytest.mark.parametrize(("begins_c", "hours"), [(24.0, 6.97), (22.0, 12.91)])
@@ -55,7 +55,7 @@ def test_a_home_is_cooled_before_an_outage_that_is_known(method: str) -> None:
     """Two hours at 25 °C need 1.19 K less before: (1 - exp(-2 / 40)) of 36.5 - T."""
     day = hot([OPEN] * 3 + [DARK] * 2, t_max_c=25.0)
     power_kw = planned_kw(day, method)
-    t_c = rooms_of(day).t_c(power_kw)[:, 0]
+    t_c = path_c(day, power_kw)[:, 0]
     assert power_kw[3:] == pytest.approx(0.0, abs=1e-9)
     assert t_c[2] == pytest.approx(36.5 - 11.5 * np.exp(2 / 40), abs=1e-4)
     assert t_c[4] == pytest.approx(25.0, abs=1e-4)
@@ -84,26 +84,28 @@ def test_a_home_in_the_terms_of_others() -> None:
     """
     day = hot([OPEN] * 2, gain_kw=0.0)
     day = replace(day, grid=TimeGrid(day.grid.start, 1.0, 2))
-    rest, cooled = (rooms_of(day).t_c(np.full((2, 1), kw))[0, 0] for kw in (0.0, 2.0))
+    rest, cooled = (path_c(day, np.full((2, 1), kw))[0, 0] for kw in (0.0, 2.0))
     assert 60.0 * (rest - 24.0) == pytest.approx(0.025 * (34.0 - 24.0), rel=1e-3)
     assert 60.0 * (rest - cooled) == pytest.approx(0.875, rel=1e-3)
     tight = hot([OPEN] * 4, gain_kw=0.0, r_c_per_kw=1e9)
-    assert rooms_of(tight).t_c(np.full((4, 1), 4.57 / 4))[-1, 0] == pytest.approx(22.0, abs=1e-3)
+    assert path_c(tight, np.full((4, 1), 4.57 / 4))[-1, 0] == pytest.approx(22.0, abs=1e-3)
 
 
 def test_limits_of_resistance_and_capacity() -> None:
     """Without losses heat is stored like energy; an endless capacity keeps its temperature."""
     power_kw = np.array([[0.0], [1.0], [2.0]])
-    stored = rooms_of(hot([OPEN] * 3, r_c_per_kw=1e9)).t_c(power_kw)[:, 0]
+    stored = path_c(hot([OPEN] * 3, r_c_per_kw=1e9), power_kw)[:, 0]
     assert stored == pytest.approx(24.0 + np.cumsum(0.5 - 3.5 * power_kw[:, 0]) / 8.0, abs=1e-6)
-    kept = rooms_of(hot([OPEN] * 3, c_kwh_per_c=1e12)).t_c(power_kw)
+    kept = path_c(hot([OPEN] * 3, c_kwh_per_c=1e12), power_kw)
     assert kept == pytest.approx(24.0, abs=1e-9)
 
 
 def test_the_coefficient_of_performance_falls_with_heat_outside() -> None:
     loads = homes("c0", cop_per_c=-0.1)
     outside_c = np.array([[25.0], [35.0], [60.0]])
-    assert loads.heat_per_kw(outside_c)[:, 0] == pytest.approx([-4.5, -3.5, -1.0])
+    idle_c, cooled_c = (rests_at_c(loads, outside_c, np.zeros(1), np.full(1, kw)) for kw in (0, 1))
+    heat_kw = (cooled_c - idle_c) / loads.r_c_per_kw
+    assert heat_kw[:, 0] == pytest.approx([-4.5, -3.5, -1.0])
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -26,8 +26,8 @@ from tests.support.vans import chargers, plugged_in
 from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day
 from vppres.contract.ahead import KindsAhead
 from vppres.day.assembly import make_controller
-from vppres.kinds.vehicles.past_days import PastDays
-from vppres.kinds.vehicles.physics import Garage, Plugged
+from vppres.kinds.kind import Planned
+from vppres.kinds.vehicles.physics import Garage, PastDays, Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
@@ -67,7 +67,7 @@ def test_a_car_charges_at_once_what_it_needs(method: str) -> None:
 def test_a_departure_in_an_outage_is_short_and_feasible(method: str) -> None:
     day = evening(DARK)
     answer = solved(day, method)
-    plugged = known(day).ahead.known(Plugged)
+    plugged = known(day).ahead.known("chargers")
     energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"], day.chargers, 1.0)
     assert plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
     assert answer.objective == pytest.approx(-0.5 * 30.0 / 60.0)  # half a step for 60 kWh
@@ -113,7 +113,7 @@ def test_the_floor_holds_what_a_car_keeps() -> None:
     two_way = chargers(p_discharge_kw=7.4)
     session = {"soc_at_plug_in": 0.85, "soc_needed": 0.95, "v2g_soc_floor": 0.25}
     day = plugged_in(replace(day, chargers=two_way), (0, 14), **session)
-    answer, plugged = solved(day), known(day).ahead.known(Plugged)
+    answer, plugged = solved(day), known(day).ahead.known("chargers")
     energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"], day.chargers, 1.0)[:, 0]
     assert energy_kwh.min() >= 15.0 - 1e-6
     assert energy_kwh[-1] == pytest.approx(57.0, abs=1e-4)
@@ -147,7 +147,7 @@ def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None
     """It has no whole step: its charger is empty, not one that holds energy without a vehicle."""
     day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
     day = plugged_in(replace(day, chargers=chargers()), (2.4, 2.9))
-    plugged = known(day).ahead.find(Plugged)
+    plugged = known(day).ahead.known("chargers")
     assert not plugged.held_kwh.any()
     assert solved(day).dispatch.served.all()
     assert "no whole step of 60 min" in " ".join(remarks(day))
@@ -450,14 +450,9 @@ def test_none_that_may_not_come_gives_anything_back(method: str, grid: float) ->
         assert served.sum() == (8 if grid else 6 if data is announced else 0)
     assert powers[0].min() < -5.9
     assert powers[1].min() == 0.0
-    ahead = expected.ahead.find(Plugged)
-    beyond_kw = ahead.power_beyond_kw(
-        day.chargers,
-        np.ones((8, 1), dtype=bool),
-        powers[0][:, None],
-        np.ones((8, 1), dtype=bool),
-        1.0,
-    )
+    ahead = expected.ahead.known("chargers")
+    on = np.ones((8, 1), dtype=bool)
+    beyond_kw = ahead.power_beyond_kw(day.chargers, Planned(powers[0][:, None], on, on, 1.0))
     assert beyond_kw.max() == pytest.approx(-powers[0].min())  # which is refused
 
 

@@ -302,7 +302,9 @@ def after_their_step(kinds: dict[str, Any], day: Scenario) -> None:
         if kind == "chargers":
             one["kwh"] = after
             continue
-        kept = np.exp(-day.grid.dt_h / day.thermal_loads.time_constant_h)
+        kept = np.exp(
+            -day.grid.dt_h / (day.thermal_loads.r_c_per_kw * day.thermal_loads.c_kwh_per_c)
+        )
         rests_c, t_c = np.array(after), np.array(one["reckoned_c"])
         one["reckoned_c"] = (rests_c + (t_c - rests_c) * kept).tolist()
         one["lowest_c"] = np.minimum(one["lowest_c"], one["reckoned_c"]).tolist()

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.live_service import HERE, NOON, readings, serving, site
 from tests.support.played_service import crowded
-from vppres.kinds.vehicles.data import Sessions
+from vppres.kinds.vehicles import Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.operation.runner import Runner

@@ -19,7 +19,7 @@ from vppres import (
     RunOptions,
     SetPoints,
 )
-from vppres.kinds.gensets.data import Refuels
+from vppres.kinds.gensets import Refuels
 from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written

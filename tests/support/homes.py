@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tests.support.small_windows import two_buses
-from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling import ThermalLoads
 from vppres.scenario.scenario import Scenario
 
 

@@ -16,7 +16,8 @@ from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres import RunOptions
 from vppres.core.arrays import Floats
 from vppres.kinds.customer.data import SwitchingRules
-from vppres.kinds.gensets.data import Refuels
+from vppres.kinds.gensets import Refuels
+from vppres.kinds.kind import Planned
 from vppres.kinds.vehicles.physics import Plugged
 from vppres.scenario.scenario import Scenario
 
@@ -85,7 +86,9 @@ def _cooling() -> Example:
         kind="thermal_loads",
         day=day,
         draw=_drawn_homes,
-        stored=lambda rooms, day, taken_kw, running: rooms.t_c(taken_kw),
+        stored=lambda rooms, day, taken_kw, running: rooms.t_c(
+            day.thermal_loads, taken_kw, day.grid.dt_h
+        ),
         state=lambda t_c: t_c,
         limit=(held, two_buses([[1.0 + 2.5 / 3.5]] * 4, [1.0], [OPEN] * 4)),
         crowd=replace(warm, temperature_c=np.full(3, 45.0), thermal_loads=many),
@@ -151,7 +154,7 @@ def _gensets() -> Example:
             day, gensets=random_sets(np.random.default_rng([seed, 43]), day)
         ),
         stored=lambda sets, day, taken_kw, running: sets.fuel_litres(
-            day.gensets, running, -taken_kw, day.grid.dt_h
+            day.gensets, Planned(taken_kw, running, running, day.grid.dt_h)
         ),
         state=lambda state: state.fuel_litres,
         limit=(replace(dark, gensets=endless), replace(dark, batteries=stored)),

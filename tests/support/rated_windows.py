@@ -15,7 +15,7 @@ from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.core.errors import SolveError
 from vppres.core.units import kva_to_a
-from vppres.kinds.gensets.data import GensetState
+from vppres.kinds.gensets import GensetState
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData

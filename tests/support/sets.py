@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.gensets import Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.scenario.scenario import Scenario
 

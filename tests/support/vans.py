@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.kinds.vehicles.data import Chargers, Sessions
+from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 
 

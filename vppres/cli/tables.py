@@ -111,7 +111,7 @@ def validation_text(
         content["generators"],
         counted(content["batteries"], "battery", "batteries"),
     ]
-    held += [data.contents(content) for kind, data in parts("data").items() if content[kind]]
+    held += [data.contents(content) for kind, data in parts().items() if content[kind]]
     faults = (
         f", {counted(content['faults'], 'fault')} of lines or buses" if content["faults"] else ""
     )

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.kind import Units, UnitsAhead
 from vppres.kinds.table import parts, units_of
 from vppres.scenario.scenario import Scenario
-
-W = TypeVar("W", bound=UnitsAhead)
 
 
 def past_days_of(scenario: Scenario, seed: int) -> dict[str, Any]:
@@ -46,15 +44,9 @@ class KindsAhead:
             }
         )
 
-    def find(self, window: type[W]) -> W | None:
-        """The window of a kind, by its class; None on a site without it."""
-        return next((known for known in self.by_kind.values() if isinstance(known, window)), None)
-
-    def known(self, window: type[W]) -> W:
-        """Window of a kind that the site has."""
-        found = self.find(window)
-        assert found is not None
-        return found
+    def known(self, kind: str) -> Any:
+        """Window of a kind that the site has, for those who know its class."""
+        return self.by_kind[kind]
 
     def _each(self, change: Callable[[UnitsAhead], UnitsAhead]) -> Self:
         return type(self)({kind: change(known) for kind, known in self.by_kind.items()})

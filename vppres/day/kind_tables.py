@@ -12,31 +12,30 @@ from vppres.plant.plant import Plant, Realised
 
 def records_of(plant: Plant, t: int, realised: Realised) -> dict[str, dict[str, Any]]:
     """Record of the units of each kind in a step."""
-    records = parts("record")
+    words = parts("words")
     return {
-        kind: records[kind].record(plant.scenario, units, t, realised)
+        kind: words[kind].record(plant.scenario, units, t, realised)
         for kind, units in plant.units.items()
     }
 
 
 def kind_figures(trajectory: Trajectory) -> dict[str, Any]:
     """Figures of each kind that the site has, by the name of its table."""
-    records = parts("record")
+    words = parts("words")
     return {
-        KINDS[kind].table: records[kind].figures(trajectory)
-        for kind in units_of(trajectory.scenario)
+        KINDS[kind].table: words[kind].figures(trajectory) for kind in units_of(trajectory.scenario)
     }
 
 
 def kind_events(trajectory: Trajectory) -> Iterator[tuple[int, str]]:
     """Step and words of what units did that is an event."""
-    records = parts("record")
+    words = parts("words")
     for kind in units_of(trajectory.scenario):
-        yield from records[kind].events(trajectory)
+        yield from words[kind].events(trajectory)
 
 
 def kind_words(trajectory: Trajectory) -> list[str]:
     """Cautions about kinds, in sentences."""
-    records = parts("record")
+    words = parts("words")
     kinds = units_of(trajectory.scenario)
-    return [words for kind in kinds for words in records[kind].cautions(trajectory)]
+    return [one for kind in kinds for one in words[kind].cautions(trajectory)]

@@ -23,6 +23,14 @@ class Observer:
     scenario: Scenario
     options: Mapping[str, Any]  #: options of the run, as they are recorded
     forecaster: DayForecasts
+    outages: OutageView  #: what it knows of outages
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, options: Mapping[str, Any], forecaster: DayForecasts
+    ) -> Observer:
+        """Observations of a scenario, of outages as the options say."""
+        return cls(scenario, options, forecaster, OutageView.create(scenario, options))
 
     def at(
         self,
@@ -47,16 +55,12 @@ class Observer:
             ends=ends,
             **measured,
         )
-        return self._view.told(seen, self._grid_seen[t], self.scenario, t, self.forecaster)
+        return self.outages.told(seen, self._grid_seen[t], self.scenario, t, self.forecaster)
 
     @cached_property
     def past_days(self) -> dict[str, Any]:
         """Past days that windows are expected to be like, by kind; None where none are."""
         return past_days_of(self.scenario, int(self.options["seed"]))
-
-    @cached_property
-    def _view(self) -> OutageView:
-        return OutageView.create(self.scenario, self.options)
 
     @cached_property
     def _grid_seen(self) -> list[GridSeen]:

@@ -161,7 +161,7 @@ class Day:
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
         )
-        self.observer = Observer(scenario, self.options.as_record(), self.forecaster)
+        self.observer = Observer.of(scenario, self.options.as_record(), self.forecaster)
         moves = self.options.move_switches and scenario.switches.movable.any()
         self.recorder = Recorder(scenario, self.branches if moves else None)
         self.operating_point: OperatingPoint | None = None

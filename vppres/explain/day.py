@@ -15,11 +15,11 @@ from vppres.day.simulate import Progress
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed
-from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
 from vppres.explain.windows import Windows
 from vppres.kinds.customer import reasons as customer
+from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts
 from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
@@ -129,9 +129,12 @@ def _actions(step: Step) -> list[Row]:
         _row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
         for p in np.flatnonzero(step.recorded.done.pv_curtailed_kw[t] > MOVE_KW).tolist()
     ]
-    reasons = parts("reasons")
-    for kind in site.kinds:
-        rows += [_row(KINDS[kind].subject, *each) for each in reasons[kind].reasons(step)]
+    words = parts("words")
+    rows += [
+        _row(KINDS[kind].subject, name, action, Reason(*why))
+        for kind in site.kinds
+        for name, action, why in words[kind].reasons(step)
+    ]
     return rows
 
 

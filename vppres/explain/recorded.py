@@ -22,9 +22,6 @@ from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 
-MOVE_KW = 1.0
-"""Smallest power of a battery, or of curtailment, that counts as an action."""
-
 
 class Recorded:
     """A finished run, step by step.

@@ -17,9 +17,10 @@ from vppres.day.observer import Observer
 from vppres.day.outages import believed_outages
 from vppres.day.trajectory import Trajectory
 from vppres.explain.phased import PhasedStep
-from vppres.explain.recorded import MOVE_KW, Recorded
+from vppres.explain.recorded import Recorded
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
+from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
@@ -111,7 +112,7 @@ class Windows:
         """Observation of the controller in that window: of outages no more than could be known."""
         length = 1 if self.recorded.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.recorded.n_steps))
-        records = parts("record")
+        records = parts("words")
         states = {
             kind: records[kind].state_of(self.recorded.trajectory.rows(KINDS[kind].table, t))
             for kind in units_of(self.recorded.scenario)
@@ -160,7 +161,7 @@ class Windows:
         file = self.recorded.options.get("forecast_file")
         seed = int(self.recorded.options["seed"])
         forecaster = named_forecasts(self.recorded.scenario, name, errors, seed, file)
-        return Observer(self.recorded.scenario, self.recorded.options, forecaster)
+        return Observer.of(self.recorded.scenario, self.recorded.options, forecaster)
 
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""

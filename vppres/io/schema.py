@@ -197,7 +197,7 @@ _NAMED = SimpleNamespace(
     DEFAULT_VOLL_GBP_PER_KWH=DEFAULT_VOLL_GBP_PER_KWH,
     **{name: value for name, value in globals().items() if name.startswith(("MIN_", "MAX_"))},
 )
-_PLACES = (__file__, *(str(part.__file__) for part in parts("data").values()))
+_PLACES = (__file__, *(str(part.__file__) for part in parts().values()))
 _ATTRIBUTES = [line for place in _PLACES for line in packaged_table(place, "attributes.csv")]
 _MODELS = {line["table"]: line for line in packaged_table(__file__, "attribute_tables.csv")} | {
     f"{table.key}.csv": {"model": table.model, "meaning": table.about}

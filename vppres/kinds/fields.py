@@ -29,9 +29,9 @@ def _no_series() -> Floats:
 if TYPE_CHECKING:
     import pandas as pd
 
-    from vppres.kinds.cooling.data import ThermalLoads
-    from vppres.kinds.gensets.data import Gensets, Refuels
-    from vppres.kinds.vehicles.data import Chargers, Sessions
+    from vppres.kinds.cooling import ThermalLoads
+    from vppres.kinds.gensets import Gensets, Refuels
+    from vppres.kinds.vehicles import Chargers, Sessions
 
     @dataclass(frozen=True, eq=False, kw_only=True)
     class OfKinds:

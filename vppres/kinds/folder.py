@@ -11,12 +11,12 @@ from typing import Any, Protocol
 
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
-from vppres.kinds.kind import Followers, Kind, Moment, UnitsAhead, UnitsNow
+from vppres.core.arrays import Floats
+from vppres.kinds.kind import Followers, Kind, Moment, Planned, UnitsAhead, UnitsNow, Why
 
 
 class DataPart(Protocol):
-    """``data``: tables of the scenario, and names."""
+    """The folder itself: tables of the scenario, and names."""
 
     KIND: Kind  #: its names
 
@@ -35,8 +35,10 @@ class PhysicsPart(Protocol):
         """Refuse prices of energy beside which what is missed counts nothing."""
 
 
-class RecordPart(Protocol):
-    """``record``: a run's table, figures and words."""
+class WordsPart(Protocol):
+    """``words``: a run's table, figures, sentences and reasons."""
+
+    ACTIONS: Mapping[str, str]  #: words of each action that reasons are given for
 
     def record(self, day: Any, units: Any, t: int, realised: Any) -> Mapping[str, Any]:
         """Columns of a step, (n,) each, before the units of the plant go on."""
@@ -59,13 +61,7 @@ class RecordPart(Protocol):
     def energies(self, figures: Mapping[str, Any]) -> list[tuple[str, float]]:
         """Energies of the first page in kWh, by what they are."""
 
-
-class ReasonsPart(Protocol):
-    """``reasons``: why units did what they did."""
-
-    ACTIONS: Mapping[str, str]  #: words of each action that reasons are given for
-
-    def reasons(self, step: Any) -> Iterator[tuple[str, str, Any]]:
+    def reasons(self, step: Any) -> Iterator[tuple[str, str, Why]]:
         """Name of a unit, its action, and the reason."""
 
 
@@ -103,13 +99,7 @@ class LivePart(Protocol):
         """Columns of the set-points of a step, (n,) each, from its record."""
 
     def foreseen(
-        self,
-        window: Any,
-        ahead: UnitsAhead,
-        connected: Flags,
-        taken_kw: Floats,
-        running: Flags,
-        times: pd.DatetimeIndex,
+        self, window: Any, ahead: UnitsAhead, plan: Planned, times: pd.DatetimeIndex
     ) -> dict[str, pd.DataFrame]:
         """Tables of the plan for the steps after the first one."""
 
@@ -130,10 +120,9 @@ class LivePart(Protocol):
 
 
 PARTS: Mapping[str, type[Any]] = {
-    "data": DataPart,
+    "": DataPart,
     "physics": PhysicsPart,
-    "record": RecordPart,
-    "reasons": ReasonsPart,
+    "words": WordsPart,
     "live": LivePart,
 }
 """Interface of each module of a folder, by its name."""

@@ -146,6 +146,16 @@ class EnergyHeld:
     delivered_kwh: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """Plan for the units of a kind over W steps, (W, n) each."""
+
+    taken_kw: Floats
+    running: Flags  #: units that are on, of a kind that is started and stopped
+    connected: Flags  #: units whose customers are served, or that stand alone
+    dt_h: float  #: length of a step
+
+
 class UnitsAhead(ByStep):
     """Window data of the units of a kind, (W, n) each; ``WINDOW`` of its physics.
 
@@ -222,10 +232,8 @@ class UnitsAhead(ByStep):
         """Energy in a battery of what units hold, and of deliveries in the steps."""
         return EnergyHeld(np.zeros(self._arrays()[0].shape[1]), 0.0, 0.0, np.zeros(len(steps)))
 
-    def left_kwh(
-        self, units: Any, taken_kw: Floats, running: Flags, dt_h: float, kwh_each: Floats
-    ) -> float:
-        """Energy in a battery that stands for what units hold behind these powers.
+    def left_kwh(self, units: Any, plan: Planned, kwh_each: Floats) -> float:
+        """Energy in a battery that stands for what units hold at the end of a plan.
 
         ``kwh_each`` says what a unit of their store stands for, (n,).
         """
@@ -261,17 +269,13 @@ class UnitsAhead(ByStep):
         """Most that all give together, (W,)."""
         return np.zeros(len(self._arrays()[0]))
 
-    def power_beyond_kw(
-        self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def power_beyond_kw(self, units: Any, plan: Planned) -> Floats:
         """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
-    def stored_beyond_kw(
-        self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def stored_beyond_kw(self, units: Any, plan: Planned) -> Floats:
         """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
-        return np.zeros_like(taken_kw)
+        return np.zeros_like(plan.taken_kw)
 
 
 class Followers(Protocol):
@@ -383,6 +387,12 @@ def refuse_dear_energy(scenario: Any, what: str, worth: float) -> None:
 
 NAMES_SHOWN = 6
 """Units that a sentence names."""
+
+MOVE_KW = 1.0
+"""Smallest power of a unit, or of curtailment, that counts as an action."""
+
+Why = tuple[str, str, str]
+"""Reason of an action: its driver, what was at its limit (empty if nothing), and a sentence."""
 
 
 def price_scale(weight: Floats, most: Floats, least_weight: float, dt_h: float) -> float:

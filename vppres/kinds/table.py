@@ -17,18 +17,19 @@ FOLDERS = {"chargers": "vehicles", "thermal_loads": "cooling", "gensets": "gense
 
 
 @cache
-def parts(name: str) -> dict[str, Any]:
-    """The module of this name of each kind: ``data``, ``physics``, ``rows``, ``record`` and so on.
+def parts(name: str = "") -> dict[str, Any]:
+    """The module of this name of each kind, ``physics`` for example; the folder without a name.
 
-    >>> [part.KIND.item for part in parts("data").values()]
+    >>> [folder.KIND.item for folder in parts().values()]
     ['charger', 'thermal_load', 'genset']
     """
     return {
-        kind: import_module(f"vppres.kinds.{folder}.{name}") for kind, folder in FOLDERS.items()
+        kind: import_module(f"vppres.kinds.{folder}.{name}".rstrip("."))
+        for kind, folder in FOLDERS.items()
     }
 
 
-KINDS: dict[str, Kind] = {kind: data.KIND for kind, data in parts("data").items()}
+KINDS: dict[str, Kind] = {kind: data.KIND for kind, data in parts().items()}
 
 TABLES: dict[str, type[KindTable]] = {
     field: rows for kind in KINDS.values() for field, rows in kind.tables.items()

@@ -78,7 +78,7 @@ def simplifications(run: Trajectory) -> list[str]:
     if len(day.tiers) > 1:
         sentences.append(_order(options))
     sentences += customer.assumptions(run)
-    records = parts("record")
+    records = parts("words")
     sentences += [records[kind].assumption(run) for kind in units_of(day)]
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")

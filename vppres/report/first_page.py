@@ -153,7 +153,7 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
         rows.append(("Batteries discharged", float(given.sum()) * dt_h))
         rows.append(("Stored at the start", float(stored[0])))
         rows.append(("Stored at the end", float(stored[-1])))
-    for kind, part in parts("record").items():
+    for kind, part in parts("words").items():
         if figures := summary.get(KINDS[kind].table):
             rows += part.energies(figures)
     rows.append(("Line losses", float(run.steps["losses_kw"].sum()) * dt_h))

@@ -16,7 +16,7 @@ from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.fields import OfKinds
-from vppres.kinds.vehicles.data import sessions_by_step
+from vppres.kinds.vehicles import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.faults import (

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
-from vppres.explain.recorded import MOVE_KW
+from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import FOLDERS, parts
 from vppres.live.range import POWER_KW, RATING_SHARE
 from vppres.scenario.scenario import Scenario

@@ -25,7 +25,7 @@ from vppres.feeders.new.options import (
     NewScenarioOptions,
 )
 from vppres.io import schema
-from vppres.kinds.gensets.data import Gensets
+from vppres.kinds.gensets import Gensets
 from vppres.scenario.assets import TIER_WEIGHTS, Batteries, Customers, PVSystems
 
 DECIMALS = 6

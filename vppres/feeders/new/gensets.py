@@ -18,7 +18,7 @@ from vppres.feeders.feeder import PhasedSource
 from vppres.feeders.new.connections import generator_in
 from vppres.feeders.new.kinds import GENSET, runs_on_a_tank
 from vppres.io import schema
-from vppres.kinds.gensets.data import Gensets
+from vppres.kinds.gensets import Gensets
 
 LITRES_PER_KWH = 0.246
 LITRES_PER_H_PER_KW = 0.08415

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.plain import number_or_none
-from vppres.kinds.cooling.data import ThermalLoads
-from vppres.kinds.cooling.physics import Climate, Rooms
-from vppres.kinds.kind import EARLY_SHARE, ROUNDING_H, Moment, UnitsNow
+from vppres.kinds.cooling import ThermalLoads
+from vppres.kinds.cooling.physics import Climate, Rooms, after_c
+from vppres.kinds.kind import EARLY_SHARE, ROUNDING_H, Moment, Planned, UnitsNow
 from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
 
@@ -94,8 +94,7 @@ class Felt:
 
     def now(self, moment: Moment, ordered_c: Floats) -> Felt:
         """At a moment: in steps that were not decided thermostats hold what others ordered."""
-        held_h = moment.held_h(self.at_h)
-        felt = self.moved_to(self.followed(self.reckoned_c, moment, held_h))
+        felt = self.moved_to(self.followed(self.reckoned_c, moment, moment.held_h(self.at_h)))
         climate = Climate(moment.known)
         climate.state = felt.reckoned_c
         for t in moment.begun_since(self.at_h)[:-1]:
@@ -105,8 +104,7 @@ class Felt:
 
     def followed(self, t_c: Floats, moment: Moment, held_h: Floats) -> Floats:
         """Temperatures after so many hours with the set-points."""
-        kept = np.exp(-held_h / moment.window.thermal_loads.time_constant_h)
-        return np.asarray(self.rests_at_c + (t_c - self.rests_at_c) * kept)
+        return after_c(moment.window.thermal_loads, t_c, self.rests_at_c, held_h)
 
     def read_now(self, moment: Moment, read: ReadRooms) -> Floats:
         """Readings with what set-points made of them since; NaN of those known before, (H,).
@@ -227,16 +225,12 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario,
-    rooms: Rooms,
-    connected: Flags,
-    taken_kw: Floats,
-    running: Flags,
-    times: pd.DatetimeIndex,
+    window: Scenario, rooms: Rooms, plan: Planned, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]
-    return {"indoor_c": pd.DataFrame(rooms.t_c(taken_kw)[1:], times, ids)}
+    t_c = rooms.t_c(window.thermal_loads, plan.taken_kw, plan.dt_h)
+    return {"indoor_c": pd.DataFrame(t_c[1:], times, ids)}
 
 
 def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:

@@ -1,6 +1,7 @@
-"""Rooms and tanks over the steps of a window: arrays, by thermal load.
+"""Rooms and tanks on arrays: the plant, checks of plans, and what is reckoned between readings.
 
-:mod:`vppres.kinds.cooling.rows` states a problem with them.
+The temperature follows from the power by the exact solution of one resistance and one capacity.
+:mod:`vppres.kinds.cooling.rows` states the same for the solver and takes nothing from here.
 """
 
 from __future__ import annotations
@@ -11,23 +12,34 @@ from typing import Any, Self
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.kinds.cooling.data import ThermalLoads
-from vppres.kinds.kind import UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.cooling import OF_A_STEP, ThermalLoads
+from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.scenario.scenario import Scenario
 
-OF_A_STEP = 0.5
-"""Part of what vehicles may count that rooms and tanks may: with them, less than a step."""
+
+def rests_at_c(
+    loads: ThermalLoads, outside_c: Floats | float, gain_kw: Floats, power_kw: Floats
+) -> Floats:
+    """Temperature to which each comes with these powers in the long run, (..., H)."""
+    cop = np.maximum(loads.cop + loads.cop_per_c * (outside_c - loads.cop_at_c), 1.0)
+    heat_kw = gain_kw + power_kw * np.where(loads.heats, cop, -cop)
+    around_c = np.where(np.isnan(loads.around_c), outside_c, loads.around_c)
+    return np.asarray(around_c + heat_kw * loads.r_c_per_kw)
+
+
+def after_c(loads: ThermalLoads, start_c: Floats, rests_c: Floats, hours: Floats | float) -> Floats:
+    """Temperature after some hours on the way to where it rests, (H,)."""
+    time_constant_h = loads.r_c_per_kw * loads.c_kwh_per_c
+    return np.asarray(rests_c + (start_c - rests_c) * np.exp(-hours / time_constant_h))
 
 
 @dataclass(frozen=True, eq=False)
 class Rooms(UnitsAhead):
-    """Temperatures of rooms and tanks in a window, with their bands and machines, (W, H) each."""
+    """Rooms and tanks in a window: what is around them, their bands and machines, (W, H) each."""
 
-    #: Part of the temperature before a step that is left at its end; 0 in the first step, of which
-    #: ``drift_c`` has that part already.
-    keeps: Floats
-    drift_c: Floats  #: what surroundings and gains add to it
-    c_per_kw: Floats  #: what a kW of the machine adds to it, negative for cooling
+    begins_c: Floats  #: temperature at the beginning of the window; NaN in all steps but the first
+    outside_c: Floats  #: temperature of the air outside
+    gain_kw: Floats  #: heat that comes by itself
     most_kw: Floats  #: largest power of the machine
     #: Comfort band.
     t_min_c: Floats
@@ -37,22 +49,17 @@ class Rooms(UnitsAhead):
     @classmethod
     def of(cls, scenario: Scenario, steps: range, now_c: Floats, past_days: Any = None) -> Self:
         """The window that begins with these temperatures."""
-        loads = scenario.thermal_loads
+        loads, n_steps = scenario.thermal_loads, len(steps)
+        begins_c = np.vstack([now_c, np.full((n_steps - 1, len(loads)), np.nan)])
         outside_c = scenario.temperature_c[steps.start : steps.stop, None]
-        keeps = np.exp(-scenario.grid.dt_h / loads.time_constant_h)
-        rest_c = loads.surroundings_c(outside_c) + loads.r_c_per_kw * loads.gain_kw
-        rest_c = np.broadcast_to(rest_c, (len(steps), len(loads)))
-        drift_c = (1.0 - keeps) * rest_c
-        drift_c[0] += keeps * now_c
-        kept = np.tile(keeps, (len(steps), 1))
-        kept[0] = 0.0
+        gain_kw = np.broadcast_to(loads.gain_kw, begins_c.shape)
         weight = scenario.customers.weight[loads.owner(scenario.customers)]
         each = (loads.p_max_kw, loads.t_min_c, loads.t_max_c, weight)
         return cls(
-            kept,
-            drift_c,
-            (1.0 - keeps) * loads.r_c_per_kw * loads.heat_per_kw(outside_c),
-            *(np.tile(values, (len(steps), 1)) for values in each),
+            begins_c,
+            np.broadcast_to(outside_c, begins_c.shape),
+            gain_kw,
+            *(np.tile(values, (n_steps, 1)) for values in each),
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
@@ -63,34 +70,18 @@ class Rooms(UnitsAhead):
         """Most that all machines take together, (W,)."""
         return np.asarray(self.most_kw.sum(axis=1))
 
-    def power_beyond_kw(
-        self, loads: ThermalLoads, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def power_beyond_kw(self, loads: ThermalLoads, plan: Planned) -> Floats:
         """Excess of powers beyond what machines can do, none of a customer off, (W, H)."""
-        return np.maximum(taken_kw - connected * self.most_kw, -taken_kw)
+        return np.maximum(plan.taken_kw - plan.connected * self.most_kw, -plan.taken_kw)
 
-    def t_c(self, power_kw: Floats) -> Floats:
+    def t_c(self, loads: ThermalLoads, power_kw: Floats, dt_h: float) -> Floats:
         """Temperature at the end of each step with these powers, (W, H)."""
-        now = np.zeros(self.keeps.shape[1])
+        now = self.begins_c[0]
         rows = []
-        for keeps, added in zip(self.keeps, self.drift_c + self.c_per_kw * power_kw, strict=True):
-            now = keeps * now + added
+        for rests_c in rests_at_c(loads, self.outside_c, self.gain_kw, power_kw):
+            now = after_c(loads, now, rests_c, dt_h)
             rows.append(now)
         return np.array(rows).reshape(power_kw.shape)
-
-    def missed_c(self, t_c: Floats) -> tuple[Floats, Floats]:
-        """Temperature above the band and below it, in K, (W, H) each."""
-        return np.maximum(t_c - self.t_max_c, 0.0), np.maximum(self.t_min_c - t_c, 0.0)
-
-    def price(self, least_weight: float, dt_h: float) -> Floats:
-        """Price of a K h outside the band, in weighted customer hours, (W, H).
-
-        All of a window without any power count a quarter of a step of the customer of this least
-        weight: no service is given up for comfort.
-        """
-        over_c, under_c = self.missed_c(self.t_c(np.zeros_like(self.most_kw)))
-        scale = price_scale(self.weight, (over_c + under_c) * dt_h, least_weight, dt_h)
-        return OF_A_STEP * scale * self.weight
 
 
 class Climate:
@@ -142,16 +133,13 @@ class Climate:
     def rests_at_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature to which each comes with these powers in the long run, (H,)."""
         loads = self.scenario.thermal_loads
-        outside_c = float(self.scenario.temperature_c[t])
-        heat_kw = loads.gain_kw + power_kw * loads.heat_per_kw(outside_c)
-        return np.asarray(loads.surroundings_c(outside_c) + heat_kw * loads.r_c_per_kw)
+        return rests_at_c(loads, float(self.scenario.temperature_c[t]), loads.gain_kw, power_kw)
 
     def after_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature at the end of a step with these powers, (H,)."""
-        rests_at_c = self.rests_at_c(t, power_kw)
-        time_constant_h = self.scenario.thermal_loads.time_constant_h
-        away_c = (self.state - rests_at_c) * np.exp(-self.scenario.grid.dt_h / time_constant_h)
-        return np.asarray(rests_at_c + away_c)
+        rests_c = self.rests_at_c(t, power_kw)
+        dt_h = self.scenario.grid.dt_h
+        return after_c(self.scenario.thermal_loads, self.state, rests_c, dt_h)
 
     def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""
@@ -169,11 +157,15 @@ def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
     """
     loads, dt_h = scenario.thermal_loads, scenario.grid.dt_h
     rooms = Rooms.of(scenario, range(scenario.grid.n_steps), loads.t_initial_c)
-    over_c, under_c = rooms.missed_c(rooms.t_c(np.zeros_like(rooms.most_kw)))
+    alone_c = rooms.t_c(loads, np.zeros_like(rooms.most_kw), dt_h)
+    missed_c = np.maximum(np.maximum(alone_c - rooms.t_max_c, rooms.t_min_c - alone_c), 0.0)
     window_h = dt_h * len(scenario.grid.window(0, horizon_h))
-    most_k_h = window_h * (over_c + under_c).max(axis=0)
     weight = rooms.weight[0]
-    scale = OF_A_STEP * price_scale(weight, most_k_h, float(scenario.customers.weight.min()), dt_h)
+    least_weight = float(scenario.customers.weight.min())
+    scale = OF_A_STEP * price_scale(weight, window_h * missed_c.max(axis=0), least_weight, dt_h)
     if scale:
-        worth = scale * float((weight * np.abs(rooms.c_per_kw).min(axis=0)).min())
+        at_rest = (rooms.outside_c, rooms.gain_kw)
+        by_kw = [rests_at_c(loads, *at_rest, np.full_like(alone_c, kw)) for kw in (0.0, 1.0)]
+        c_per_kw = np.abs(after_c(loads, np.zeros(len(loads)), by_kw[1] - by_kw[0], dt_h))
+        worth = scale * float((weight * c_per_kw.min(axis=0)).min())
         refuse_dear_energy(scenario, f"the comfort of {len(loads)} rooms and tanks", worth)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling import ThermalLoads
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, said_of

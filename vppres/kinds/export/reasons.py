@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 from vppres.explain.words import figure, money
+from vppres.kinds.kind import MOVE_KW
 
 LIMIT_KW = 1.0
 LIMIT_SHARE = 0.01

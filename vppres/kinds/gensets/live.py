@@ -16,9 +16,9 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
-from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState
+from vppres.kinds.gensets import ROUNDING_H, Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.kinds.kind import EARLY_SHARE, Moment, UnitsNow
+from vppres.kinds.kind import EARLY_SHARE, Moment, Planned, UnitsNow
 from vppres.live.range import (
     NUMBER,
     POWER,
@@ -366,19 +366,14 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario,
-    known: SetsAhead,
-    connected: Flags,
-    taken_kw: Floats,
-    running: Flags,
-    times: pd.DatetimeIndex,
+    window: Scenario, known: SetsAhead, plan: Planned, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets
-    litres = known.fuel_litres(sets, running, -taken_kw, window.grid.dt_h)
+    litres = known.fuel_litres(sets, plan)
     names = [str(name) for name in sets.id]
     return {
-        "genset_kw": pd.DataFrame(-taken_kw[1:], times, names),
+        "genset_kw": pd.DataFrame(-plan.taken_kw[1:], times, names),
         "fuel_litres": pd.DataFrame(litres[1:], times, names),
     }
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError
-from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, steps_of
-from vppres.kinds.kind import EnergyHeld, UnitsAhead
+from vppres.kinds.gensets import ROUNDING_H, Gensets, GensetState, steps_of
+from vppres.kinds.kind import EnergyHeld, Planned, UnitsAhead
 from vppres.scenario.scenario import Scenario
 
 LARGEST_SHARE = 0.25
@@ -185,8 +185,8 @@ class SetsAhead(UnitsAhead):
         by_fuel_kw = (litres_per_h - sets.litres_per_h_idle) / sets.litres_per_kwh
         most_kw = np.minimum(sets.p_max_kw, by_fuel_kw)
         starts = holds & ~forms & (self.was_on[0] < 0.5)
-        most_kw = np.where(starts, np.minimum(most_kw, sets.first_kw(dt_h)), most_kw)
-        fallen_kw = np.where(forms, 0.0, self.was_kw[0] - sets.fall_kw(dt_h))
+        most_kw = np.where(starts, np.minimum(most_kw, first_kw(sets, dt_h)), most_kw)
+        fallen_kw = np.where(forms, 0.0, self.was_kw[0] - sets.ramp_down_kw_per_h * dt_h)
         least_kw = np.maximum(sets.p_min_kw, fallen_kw)
         wanted = (self.was_on[0] > 0.5) | forms | holds
         in_use = island | ~sets.only_in_outage | self.must_run[0]
@@ -203,19 +203,13 @@ class SetsAhead(UnitsAhead):
         power_kw = float(sets.p_max_kw[usable].sum())
         return EnergyHeld(kwh_per_litre, power_kw, float(held @ kwh_per_litre), delivered)
 
-    def left_kwh(
-        self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float, kwh_each: Floats
-    ) -> float:
+    def left_kwh(self, sets: Gensets, plan: Planned, kwh_each: Floats) -> float:
         """Energy in a battery that stands for the fuel that is left; ``kwh_each`` is of a litre."""
-        return float(self.fuel_litres(sets, running, -taken_kw, dt_h)[-1] @ kwh_each)
+        return float(self.fuel_litres(sets, plan)[-1] @ kwh_each)
 
     def most_left_kwh(self, kwh_each: Floats) -> float:
         """Most energy that fuel at the end of the window can stand for."""
         return float(self.added_litres.sum(axis=0) @ kwh_each)
-
-    def kept_litres(self, sets: Gensets, dt_h: float) -> Floats:
-        """Fuel that is left at least at the end of each step, (W, G)."""
-        return dt_h * sets.litres_per_kwh * self.headroom_kw
 
     def q_most_kvar(self, sets: Gensets) -> Floats:
         """Largest reactive power of each set, (W, G): none of those that follow."""
@@ -225,24 +219,20 @@ class SetsAhead(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.can_run @ sets.p_max_kw)
 
-    def power_beyond_kw(
-        self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def power_beyond_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Excess of powers beyond what sets can do, ramps included, (W, G)."""
         over = (
-            -taken_kw + self.headroom_kw - running * sets.p_max_kw,
-            running * sets.p_min_kw + self.headroom_kw + taken_kw,
-            self.moved_too_fast_kw(sets, running, -taken_kw, dt_h),
+            -plan.taken_kw + self.headroom_kw - plan.running * sets.p_max_kw,
+            plan.running * sets.p_min_kw + self.headroom_kw + plan.taken_kw,
+            self.moved_too_fast_kw(sets, plan),
         )
         return np.asarray(np.max(over, axis=0))
 
-    def stored_beyond_kw(
-        self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def stored_beyond_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Fuel that is missing, as a power over the step, (W, G)."""
-        fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
-        missing_litres = self.kept_litres(sets, dt_h) - fuel_litres
-        return missing_litres / (sets.litres_per_kwh * dt_h)
+        kept_litres = plan.dt_h * sets.litres_per_kwh * self.headroom_kw
+        missing_litres = kept_litres - self.fuel_litres(sets, plan)
+        return missing_litres / (sets.litres_per_kwh * plan.dt_h)
 
     def may_start(self, sets: Gensets, outage: Flags) -> Flags:
         """Steps in which a set that is off may start, (W, G), as ``outage`` at its bus."""
@@ -261,9 +251,9 @@ class SetsAhead(UnitsAhead):
         """Steps in which a set starts, (W, G)."""
         return on & ~self.on_before(on)
 
-    def fuel_litres(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
+    def fuel_litres(self, sets: Gensets, plan: Planned) -> Floats:
         """Fuel at the end of each step, (W, G), negative where there is not enough."""
-        burnt = sets.litres(on, power_kw, dt_h)
+        burnt = sets.litres(plan.running, -plan.taken_kw, plan.dt_h)
         level = np.zeros(len(sets))
         rows = []
         for added, used in zip(self.added_litres, burnt, strict=True):
@@ -271,15 +261,18 @@ class SetsAhead(UnitsAhead):
             rows.append(level)
         return np.array(rows).reshape(burnt.shape)
 
-    def moved_too_fast_kw(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
+    def moved_too_fast_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Excess of the change of powers beyond ramps, (W, G).
 
         A set may stop from any power, and one that forms the grid follows the load at once.
         """
+        on, power_kw, dt_h = plan.running, -plan.taken_kw, plan.dt_h
         before_on = self.on_before(on)
         before_kw = np.vstack([self.was_kw[:1], power_kw[:-1]])
-        most_kw = np.where(before_on, before_kw + sets.rise_kw(dt_h), sets.first_kw(dt_h))
-        least_kw = np.where(before_on, before_kw - sets.fall_kw(dt_h), 0.0)
+        most_kw = np.where(
+            before_on, before_kw + sets.ramp_up_kw_per_h * dt_h, first_kw(sets, dt_h)
+        )
+        least_kw = np.where(before_on, before_kw - sets.ramp_down_kw_per_h * dt_h, 0.0)
         return np.where(on & ~self.forms, np.maximum(power_kw - most_kw, least_kw - power_kw), 0.0)
 
     def switched_early(self, sets: Gensets, on: Flags, outage: Flags) -> Flags:
@@ -304,6 +297,11 @@ class SetsAhead(UnitsAhead):
             in_use = outage[:, g] | ~sets.only_in_outage[g] | young | self.must_run[:, g]
             wrong[:, g] |= on[:, g] & ~in_use
         return wrong
+
+
+def first_kw(sets: Gensets, dt_h: float) -> Floats:
+    """Most that a set gives in the step in which it starts, (G,)."""
+    return np.maximum(sets.p_min_kw, sets.ramp_up_kw_per_h * dt_h)
 
 
 def headroom_kw(sets: Gensets, share: float) -> Floats:
@@ -351,12 +349,11 @@ class Engines:
         dt_h = self.scenario.grid.dt_h
         was_on, was_kw = self.state.on, self.state.power_kw
         started = ~was_on & (self.state.hours >= sets.min_off_h - ROUNDING_H)
-        step_kw = dt_h * sets.ramp_up_kw_per_h
-        most_kw = np.where(was_on, was_kw + step_kw, np.maximum(sets.p_min_kw, step_kw))
+        most_kw = np.where(was_on, was_kw + sets.ramp_up_kw_per_h * dt_h, first_kw(sets, dt_h))
         litres_per_h = self.tank_litres(t) / dt_h - sets.litres_per_h_idle
         by_fuel_kw = litres_per_h / sets.litres_per_kwh
         most_kw = np.minimum(np.minimum(most_kw, sets.p_max_kw), by_fuel_kw)
-        fallen_kw = np.where(was_on, was_kw - dt_h * sets.ramp_down_kw_per_h, 0.0)
+        fallen_kw = np.where(was_on, was_kw - sets.ramp_down_kw_per_h * dt_h, 0.0)
         least_kw = np.maximum(sets.p_min_kw, fallen_kw)
         runs = on & (was_on | started) & (most_kw > sets.p_min_kw - LEAST_KW)
         within_kw = np.minimum(np.maximum(wanted_kw, least_kw), most_kw)
@@ -403,10 +400,10 @@ class Engines:
         """State at the end of a step in which sets run with these powers."""
         sets = self.scenario.gensets
         dt_h = self.scenario.grid.dt_h
-        per_h = np.where(on, sets.litres_per_h_idle + sets.litres_per_kwh * power_kw, 0.0)
-        left = np.maximum(self.tank_litres(t) - per_h * dt_h, 0.0)
+        given_kw = np.where(on, power_kw, 0.0)
+        left = np.maximum(self.tank_litres(t) - sets.litres(on, given_kw, dt_h), 0.0)
         hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
-        return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
+        return GensetState(on, hours, given_kw, left)
 
     def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
         """The state at the end of a step."""

@@ -17,8 +17,8 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.gensets.data import steps_of
-from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.gensets import steps_of
+from vppres.kinds.kind import Planned
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -78,10 +78,9 @@ class GensetsModel(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Whether there are any, and whether one can form the grid, or holds a part."""
-        ahead = data.ahead.find(SetsAhead)
-        if ahead is None:
+        if KIND not in data.ahead.by_kind:
             return None
-        if ahead.holds.any():
+        if data.ahead.known(KIND).holds.any():
             return "holding"
         return "forming" if site.gensets.grid_forming.any() else "following"
 
@@ -119,72 +118,11 @@ class GensetsModel(Addition):
 
     def taken(self, site: Site) -> dict[str, Taken]:
         """Power that sets give, and reactive power of those that can form the grid."""
-        return {"gensets": (-self.power, None if self.reactive is None else -self._given_kvar)}
+        return {KIND: (-self.power, None if self.reactive is None else -self._given_kvar)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Switching, powers and fuel, and what a set that forms the grid leaves free."""
-        return self._switching() | self._powers() | self._fuel() | self._forming()
-
-    def _switching(self) -> Named:
-        """Starts, least times on and off, and the steps in which a set may be on."""
-        sets = self.site.gensets
-        young = self._recent_starts(sets.min_on_h)
-        # 1 where a set that could form the grid cannot run: its fuel ends its least time on.
-        spent = 0.0 if self.reactive is None else 1.0 - self.can_run
-        return {
-            "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
-            "gs_can_start": self.start <= self.can_start,
-            "gs_can_run": self.on <= self.can_run,
-            "gs_must_run": self.on >= self.must_run,
-            "gs_in_use": self.on <= self.can_start + self.must_run + young,
-            "gs_min_on": young <= self.on + spent,
-            "gs_min_off": self._recent_starts(sets.min_off_h) + self._on_then() <= 1.0,
-        }
-
-    def _powers(self) -> Named:
-        """Largest and least power, and ramps; a set may stop from any power."""
-        sets = self.site.gensets
-        dt_h = self.site.dt_h
-        on_before = self._before(self.on, self.was_on)
-        rise = self.power - self._before(self.power, self.was_kw)
-        stop = on_before - self.on + self.start
-        at_once = 0.0 if self.at_once is None else self.at_once
-        return {
-            "gs_most": self.power <= _times(self.on, sets.p_max_kw),
-            "gs_least": self.power >= _times(self.on, sets.p_min_kw),
-            "gs_ramp_up": rise
-            <= _times(on_before, sets.rise_kw(dt_h))
-            + _times(self.start, sets.first_kw(dt_h))
-            + at_once,
-            "gs_ramp_down": -rise
-            <= _times(self.on, sets.fall_kw(dt_h)) + _times(stop, sets.p_max_kw) + at_once,
-        }
-
-    def _fuel(self) -> Named:
-        """Fuel from step to step; what does not fit into the tank is not delivered."""
-        filled = self.fuel + self._litres
-        before = np.eye(self.fuel.shape[0], k=-1) @ self.fuel
-        tank = np.broadcast_to(self.site.gensets.tank_litres, self.fuel.shape)
-        return {"gs_fuel_level": filled <= before + self.added, "gs_tank": filled <= tank}
-
-    def _forming(self) -> Named:
-        """Headroom, and fuel for a step of it, where a set forms the grid."""
-        if self.reactive is None:
-            return {}
-        assert self.headroom is not None
-        sets = self.site.gensets
-        kept = _times(self.headroom, self.site.dt_h * sets.litres_per_kwh)
-        of_running: Named = {}
-        if self.holding:
-            of_running = {
-                "gs_reactive_most": self.reactive <= self.on,
-                "gs_reactive_least": -self.reactive <= self.on,
-            }
-        return of_running | {
-            "gs_room_above": self.power + self.headroom <= _times(self.on, sets.p_max_kw),
-            "gs_room_below": self.power - self.headroom >= _times(self.on, sets.p_min_kw),
-            "gs_fuel_kept": self.fuel >= kept,
-        }
+        return switching(self) | powers(self) | fuel(self) | forming(self)
 
     @property
     def _given_kvar(self) -> cp.Expression:
@@ -193,50 +131,25 @@ class GensetsModel(Addition):
         return cp.multiply(self.q_most, self.reactive)
 
     @property
-    def _litres(self) -> cp.Expression:
+    def litres(self) -> cp.Expression:
         """Fuel burnt in each step, (W, G)."""
         sets = self.site.gensets
         of_power = _times(self.power, self.site.dt_h * sets.litres_per_kwh)
         return of_power + _times(self.on, self.site.dt_h * sets.litres_per_h_idle)
 
-    def _before(self, x: cp.Variable, first: cp.Parameter) -> cp.Expression:
-        """Values of the step before, (W, G)."""
-        return np.eye(x.shape[0], k=-1) @ x + first
-
-    def _recent_starts(self, hours: Floats) -> cp.Expression:
-        """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
-        W = self.start.shape[0]
-        columns = [
-            (np.tri(W) - np.tri(W, k=-int(n))) @ self.start[:, g]
-            for g, n in enumerate(self._steps(hours))
-        ]
-        return cp.vstack(columns).T
-
-    def _on_then(self) -> cp.Expression:
-        """Whether sets were on before the steps in which a start is too early, (W, G)."""
-        W = self.on.shape[0]
-        columns = []
-        for g, n in enumerate(self._steps(self.site.gensets.min_off_h)):
-            before = (np.arange(W) < n).astype(float) * self.was_on[0, g]
-            columns.append(np.eye(W, k=-int(n)) @ self.on[:, g] + before)
-        return cp.vstack(columns).T
-
-    def _steps(self, hours: Floats) -> Wholes:
-        """Steps of least times, at least one."""
-        return np.maximum(steps_of(hours, self.site.dt_h), 1)
-
     def terms(self) -> dict[str, cp.Expression]:
         """Cost of fuel and starts."""
         sets = self.site.gensets
-        fuel = cp.sum(_times(self._litres, sets.fuel_price_gbp_per_litre))
+        fuel = cp.sum(_times(self.litres, sets.fuel_price_gbp_per_litre))
         return {"f2": fuel + cp.sum(_times(self.start, sets.start_cost_gbp))}
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the sets of a window."""
-        ahead = data.ahead.known(SetsAhead)
+        ahead = data.ahead.known(KIND)
         write(self.can_run, ahead.can_run.astype(float))
-        outage = at_items(data.in_island, site.unit_bus["gensets"])
-        write(self.can_start, ahead.may_start(site.gensets, outage).astype(float))
+        outage = at_items(data.in_island, site.unit_bus[KIND])
+        may_start = ahead.rested & ahead.can_run & (outage | ~site.gensets.only_in_outage)
+        write(self.can_start, may_start.astype(float))
         write(self.must_run, ahead.must_run.astype(float))
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)
@@ -244,9 +157,9 @@ class GensetsModel(Addition):
         if self.headroom is not None and self.q_most is not None and self.at_once is not None:
             write(self.headroom, ahead.headroom_kw)
             write(self.at_once, np.where(ahead.forms, site.gensets.p_max_kw, 0.0))
-            write(self.q_most, ahead.q_most_kvar(site.gensets))
+            write(self.q_most, np.where(ahead.forms | ahead.holds, site.gensets.q_max_kvar, 0.0))
         value = data.stored_value or StoredValue.nothing()
-        write(self.stands_for, value.kwh_each.get("gensets", np.zeros(len(site.gensets))))
+        write(self.stands_for, value.kwh_each.get(KIND, np.zeros(len(site.gensets))))
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
@@ -254,7 +167,7 @@ class GensetsModel(Addition):
         sets = site.gensets
         on, power_kw = running(site, dispatch)
         litres = sets.litres(on, power_kw, site.dt_h)
-        starts = data.ahead.known(SetsAhead).starts(on)
+        starts = data.ahead.known(KIND).starts(on)
         cost = litres @ sets.fuel_price_gbp_per_litre + starts @ sets.start_cost_gbp
         return {"f2": float(cost.sum())}
 
@@ -270,9 +183,9 @@ class GensetsModel(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Switching, power and fuel of every set."""
-        ahead = data.ahead.known(SetsAhead)
+        ahead = data.ahead.known(KIND)
         on, power_kw = running(site, dispatch)
-        fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
+        fuel = ahead.fuel_litres(site.gensets, Planned(-power_kw, on, on, site.dt_h))
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
         return AdditionDispatch(dict(zip(self.by_dispatch, letters, strict=True)))
 
@@ -282,17 +195,113 @@ class GensetsModel(Addition):
         power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
         sets = self.site.gensets
         within_kw = np.clip(power_kw, sets.p_min_kw, sets.p_max_kw)
-        found = found.acting("gensets", -np.where(on, within_kw, 0.0), on)
+        found = found.acting(KIND, -np.where(on, within_kw, 0.0), on)
         if self.reactive is None or self.reactive.value is None:
             return found
         given_kvar = np.reshape(self._given_kvar.value, on.shape)
-        return replace(found, given_kvar={"gensets": given_kvar})
+        return replace(found, given_kvar={KIND: given_kvar})
+
+
+def switching(m: GensetsModel) -> Named:
+    """Starts, least times on and off, and the steps in which a set may be on."""
+    sets = m.site.gensets
+    young = _recent_starts(m, sets.min_on_h)
+    # 1 where a set that could form the grid cannot run: its fuel ends its least time on.
+    spent = 0.0 if m.reactive is None else 1.0 - m.can_run
+    return {
+        "gs_starts": m.on - _before(m.on, m.was_on) <= m.start,
+        "gs_can_start": m.start <= m.can_start,
+        "gs_can_run": m.on <= m.can_run,
+        "gs_must_run": m.on >= m.must_run,
+        "gs_in_use": m.on <= m.can_start + m.must_run + young,
+        "gs_min_on": young <= m.on + spent,
+        "gs_min_off": _recent_starts(m, sets.min_off_h) + _on_then(m) <= 1.0,
+    }
+
+
+def powers(m: GensetsModel) -> Named:
+    """Largest and least power, and ramps; a set may stop from any power."""
+    sets, dt_h = m.site.gensets, m.site.dt_h
+    rise_kw, fall_kw = (
+        np.minimum(ramp_kw_per_h * dt_h, sets.p_max_kw)
+        for ramp_kw_per_h in (sets.ramp_up_kw_per_h, sets.ramp_down_kw_per_h)
+    )
+    on_before = _before(m.on, m.was_on)
+    rise = m.power - _before(m.power, m.was_kw)
+    stop = on_before - m.on + m.start
+    at_once = 0.0 if m.at_once is None else m.at_once
+    return {
+        "gs_most": m.power <= _times(m.on, sets.p_max_kw),
+        "gs_least": m.power >= _times(m.on, sets.p_min_kw),
+        "gs_ramp_up": rise
+        <= _times(on_before, rise_kw)
+        + _times(m.start, np.maximum(sets.p_min_kw, rise_kw))
+        + at_once,
+        "gs_ramp_down": -rise <= _times(m.on, fall_kw) + _times(stop, sets.p_max_kw) + at_once,
+    }
+
+
+def fuel(m: GensetsModel) -> Named:
+    """Fuel from step to step; what does not fit into the tank is not delivered."""
+    filled = m.fuel + m.litres
+    before = np.eye(m.fuel.shape[0], k=-1) @ m.fuel
+    tank = np.broadcast_to(m.site.gensets.tank_litres, m.fuel.shape)
+    return {"gs_fuel_level": filled <= before + m.added, "gs_tank": filled <= tank}
+
+
+def forming(m: GensetsModel) -> Named:
+    """Headroom, and fuel for a step of it, where a set forms the grid."""
+    if m.reactive is None:
+        return {}
+    assert m.headroom is not None
+    sets = m.site.gensets
+    kept = _times(m.headroom, m.site.dt_h * sets.litres_per_kwh)
+    of_running: Named = {}
+    if m.holding:
+        of_running = {
+            "gs_reactive_most": m.reactive <= m.on,
+            "gs_reactive_least": -m.reactive <= m.on,
+        }
+    return of_running | {
+        "gs_room_above": m.power + m.headroom <= _times(m.on, sets.p_max_kw),
+        "gs_room_below": m.power - m.headroom >= _times(m.on, sets.p_min_kw),
+        "gs_fuel_kept": m.fuel >= kept,
+    }
+
+
+def _before(x: cp.Variable, first: cp.Parameter) -> cp.Expression:
+    """Values of the step before, (W, G)."""
+    return np.eye(x.shape[0], k=-1) @ x + first
+
+
+def _recent_starts(m: GensetsModel, hours: Floats) -> cp.Expression:
+    """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
+    W = m.start.shape[0]
+    columns = [
+        (np.tri(W) - np.tri(W, k=-int(n))) @ m.start[:, g] for g, n in enumerate(_steps(m, hours))
+    ]
+    return cp.vstack(columns).T
+
+
+def _on_then(m: GensetsModel) -> cp.Expression:
+    """Whether sets were on before the steps in which a start is too early, (W, G)."""
+    W = m.on.shape[0]
+    columns = []
+    for g, n in enumerate(_steps(m, m.site.gensets.min_off_h)):
+        before = (np.arange(W) < n).astype(float) * m.was_on[0, g]
+        columns.append(np.eye(W, k=-int(n)) @ m.on[:, g] + before)
+    return cp.vstack(columns).T
+
+
+def _steps(m: GensetsModel, hours: Floats) -> Wholes:
+    """Steps of least times, at least one."""
+    return np.maximum(steps_of(hours, m.site.dt_h), 1)
 
 
 def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
     """Sets that run, and what each gives in kW, (W, G) each."""
     sets = site.gensets
-    return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
+    return dispatch.running_of(KIND, sets), -dispatch.taken_by(KIND, sets)
 
 
 def _times(x: cp.Expression, factors: Floats) -> cp.Expression:
@@ -300,4 +309,4 @@ def _times(x: cp.Expression, factors: Floats) -> cp.Expression:
     return x @ np.diag(factors)
 
 
-ROWS = GensetsModel
+KIND, ROWS = "gensets", GensetsModel

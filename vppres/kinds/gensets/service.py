@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
-from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.gensets import Gensets, GensetState
 from vppres.kinds.gensets.live import STILL_SHARE
 from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.plain import number_or_none
 from vppres.core.text import iso
-from vppres.kinds.kind import ROUNDING_H, Moment, UnitsNow
-from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
-from vppres.kinds.vehicles.physics import Garage, Plugged
-from vppres.kinds.vehicles.record import SHORT_KWH
+from vppres.kinds.kind import ROUNDING_H, Moment, Planned, UnitsNow
+from vppres.kinds.vehicles import NO_CAR, OF_SESSIONS, Sessions
+from vppres.kinds.vehicles.physics import Garage, Plugged, stored_by
+from vppres.kinds.vehicles.words import SHORT_KWH
 from vppres.live.range import POWER, Range, above_rating, flag
 from vppres.scenario.scenario import Scenario
 
@@ -111,7 +111,7 @@ class PluggedInVehicles:
         read_kwh = read.kwh + (now - then) * (self.end_kwh - self.kwh)
         told_kwh = (1.0 - now) * self.kwh + now * self.end_kwh
         if np.isfinite(read.ordered_kw).any():
-            gain_kw = moment.window.chargers.stored_kw(read.ordered_kw)
+            gain_kw = stored_by(moment.window.chargers, read.ordered_kw)
             by_others, since_h = np.isfinite(gain_kw), moment.at_h - self.at_h
             read_kwh = np.where(by_others, read.kwh + gain_kw * read.age_h, read_kwh)
             told_kwh = np.where(by_others, self.kwh + gain_kw * since_h, told_kwh)
@@ -333,16 +333,11 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario,
-    ahead: Plugged,
-    connected: Flags,
-    taken_kw: Floats,
-    running: Flags,
-    times: pd.DatetimeIndex,
+    window: Scenario, ahead: Plugged, plan: Planned, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Known vehicles that leave short within the plan; what leaves after it is not judged."""
     chargers, sessions = window.chargers, window.sessions
-    short_kwh = ahead.short_kwh(ahead.energy_kwh(taken_kw, chargers, window.grid.dt_h))
+    short_kwh = ahead.short_kwh(ahead.energy_kwh(plan.taken_kw, chargers, plan.dt_h))
     _, after = sessions.steps(window.grid)
     rows = []
     for t, k in np.argwhere(ahead.known & (short_kwh > SHORT_KWH)).tolist():

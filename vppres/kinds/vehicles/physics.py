@@ -10,15 +10,66 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
-from vppres.kinds.kind import UnitsAhead, price_scale, refuse_dear_energy
-from vppres.kinds.vehicles.data import Chargers, Sessions
-from vppres.kinds.vehicles.past_days import PastDays
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.timegrid import TimeGrid
 
 NEGLIGIBLE_KW = 1e-3
 """Power that counts as none: what is left of a plan when a vehicle is full."""
+
+
+def stored_by(chargers: Chargers, power_kw: Floats) -> Floats:
+    """By how much the energy of vehicles grows with these powers, in kW, (..., K)."""
+    into, out_of = power_kw * chargers.eta_charge, power_kw / chargers.eta_discharge
+    return np.where(power_kw > 0.0, into, out_of)
+
+
+@dataclass(frozen=True, eq=False)
+class PastDays:
+    """Calendar days before a run, with the sessions that began on each of them.
+
+    A day with a session that goes on in the run is none, nor is the one on which the run begins.
+    Between the first and the last, a day without a session is one on which no vehicle came.
+    """
+
+    sessions: Sessions  #: those that ended before the first step of the run
+    begun: Wholes  #: day on which each began, counted as :meth:`datetime.date.toordinal` does
+    days: Wholes  #: the past days, counted alike
+    seed: int  #: of the run
+
+    @classmethod
+    def of(cls, scenario: Scenario, seed: int) -> Self | None:
+        """The past days of a scenario, None without any."""
+        grid, sessions = scenario.grid, scenario.sessions
+        over = sessions.over(grid.start)
+        if not over.any():
+            return None
+        begun = np.array([grid.local(time).toordinal() for time in sessions.plug_in])
+        shown = np.arange(begun[over].min(), begun[over].max() + 1)
+        of_run = np.append(begun[~over], grid.local(grid.start).toordinal())
+        days = np.setdiff1d(shown, of_run)
+        return cls(sessions.rows(over), begun[over], days, seed) if len(days) else None
+
+    def drawn_for(self, day: int) -> int:
+        """The past day that a day is expected to be like: the same for a seed."""
+        rng = np.random.default_rng([self.seed, day])
+        return int(self.days[rng.integers(len(self.days))])
+
+    def expected(self, grid: TimeGrid, steps: range) -> Sessions:
+        """Sessions of the days of some steps, moved there by whole days."""
+        ends = (grid.local(grid.start + t * grid.step) for t in (steps.start, steps.stop - 1))
+        first, last = (time.toordinal() for time in ends)
+        days = np.arange(first, last + 1)
+        drawn = np.array([self.drawn_for(int(day)) for day in days])
+        of_day, rows = np.nonzero(self.begun == drawn[:, None])
+        later = (days - drawn)[of_day]
+        moved = np.array([pd.Timedelta(days=int(each)) for each in later], dtype=object)
+        found = self.sessions.rows(rows)
+        return replace(found, plug_in=found.plug_in + moved, plug_out=found.plug_out + moved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +186,7 @@ class Plugged(UnitsAhead):
 
     def energy_kwh(self, power_kw: Floats, chargers: Chargers, dt_h: float) -> Floats:
         """Energy at the end of each step, (W, K), of a power that is negative to discharge."""
-        stored_kw = chargers.eta_charge * np.maximum(power_kw, 0.0)
-        stored_kw = stored_kw - np.maximum(-power_kw, 0.0) / chargers.eta_discharge
+        stored_kw = stored_by(chargers, power_kw)
         held = np.zeros(len(chargers))
         rows = []
         for t, stays in enumerate(self.stays):
@@ -178,29 +228,20 @@ class Plugged(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.known @ chargers.p_discharge_kw)
 
-    def power_beyond_kw(
-        self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def power_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
         """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
         """
-        most_kw = (self.here & connected) * chargers.p_charge_kw
-        back_kw = (self.known & connected) * chargers.p_discharge_kw
-        return np.maximum(taken_kw - most_kw, -taken_kw - back_kw)
+        most_kw = (self.here & plan.connected) * chargers.p_charge_kw
+        back_kw = (self.known & plan.connected) * chargers.p_discharge_kw
+        return np.maximum(plan.taken_kw - most_kw, -plan.taken_kw - back_kw)
 
-    def stored_beyond_kw(
-        self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
-    ) -> Floats:
+    def stored_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
         """Excess of energies beyond their limits, as a power over the step, (W, K)."""
-        energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
+        energy_kwh = self.energy_kwh(plan.taken_kw, chargers, plan.dt_h)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
-        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / dt_h
-
-    def price(self, least_weight: float, dt_h: float) -> Floats:
-        """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K)."""
-        weight = np.where(self.due, self.weight, 0.0)
-        return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
+        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / plan.dt_h
 
 
 class Garage:
@@ -280,7 +321,7 @@ class Garage:
     def after_kwh(self, t: int, power_kw: Floats) -> Floats:
         """Energy of each vehicle at the end of a step with these powers, (K,)."""
         chargers = self.scenario.chargers
-        into_kwh = chargers.stored_kw(power_kw) * self.scenario.grid.dt_h
+        into_kwh = stored_by(chargers, power_kw) * self.scenario.grid.dt_h
         return np.clip(self.at(t) + into_kwh, 0.0, self.full_kwh(t))
 
     def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
-from vppres.kinds.vehicles.physics import Plugged
+from vppres.kinds.kind import price_scale
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -72,8 +72,7 @@ class Vehicles(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether a vehicle is plugged in."""
-        plugged = data.ahead.find(Plugged)
-        return (plugged is not None and bool(plugged.here.any())) or None
+        return (KIND in data.ahead.by_kind and bool(data.ahead.known(KIND).here.any())) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -108,7 +107,7 @@ class Vehicles(Addition):
 
     def taken(self, site: Site) -> dict[str, Taken]:
         """Power of the chargers, which have a power factor of 1."""
-        return {"chargers": (self.drawn, None)}
+        return {KIND: (self.drawn, None)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Energy from step to step, limits, and what is needed at departure."""
@@ -154,7 +153,7 @@ class Vehicles(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the vehicles of a window."""
-        plugged = data.ahead.find(Plugged) or Plugged.none(data.n_steps, len(site.chargers))
+        plugged = data.ahead.known(KIND)
         chargers = site.chargers
         write(self.P_most, plugged.here * chargers.p_charge_kw)
         write(self.P_back, (plugged.known * chargers.p_discharge_kw)[:, self.two_way])
@@ -168,7 +167,7 @@ class Vehicles(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Penalty for energy that vehicles lack, and the cost of charging later."""
-        plugged = data.ahead.known(Plugged)
+        plugged = data.ahead.known(KIND)
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         hours = site.dt_h * np.arange(len(power_kw))
@@ -189,7 +188,7 @@ class Vehicles(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Power and energy of every vehicle."""
-        plugged = data.ahead.known(Plugged)
+        plugged = data.ahead.known(KIND)
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         values: dict[str, Floats | float] = {
@@ -204,17 +203,19 @@ class Vehicles(Addition):
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each charger."""
         power_kw = np.reshape(np.asarray(self.drawn.value, dtype=float), self.charge.shape)
-        return found.acting("chargers", np.where(np.abs(power_kw) < NOISE_KW, 0.0, power_kw))
+        return found.acting(KIND, np.where(np.abs(power_kw) < NOISE_KW, 0.0, power_kw))
 
 
 def charging_kw(site: Site, dispatch: Dispatch) -> Floats:
     """Power of each charger, (W, K), negative to discharge."""
-    return dispatch.taken_by("chargers", site.chargers)
+    return dispatch.taken_by(KIND, site.chargers)
 
 
-def price_of(site: Site, plugged: Plugged) -> Floats:
-    """Price of a kWh that each vehicle lacks at the end of a step, (W, K)."""
-    return plugged.price(float(site.customers.weight.min()), site.dt_h)
+def price_of(site: Site, plugged: Any) -> Floats:
+    """Price of a kWh that each vehicle lacks when it leaves, in weighted customer hours, (W, K)."""
+    weight = np.where(plugged.due, plugged.weight, 0.0)
+    least_weight = float(site.customers.weight.min())
+    return price_scale(weight, plugged.full_kwh, least_weight, site.dt_h) * weight
 
 
-ROWS = Vehicles
+KIND, ROWS = "chargers", Vehicles

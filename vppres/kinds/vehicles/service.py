@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
-from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Chargers, Sessions
+from vppres.kinds.vehicles import NO_CAR, OF_SESSIONS, Chargers, Sessions
 from vppres.kinds.vehicles.live import HELD, QUANTITIES, rows_of, sessions_of
 from vppres.kinds.vehicles.physics import Garage
 from vppres.scenario.scenario import Scenario

@@ -16,6 +16,7 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
+from vppres.kinds.kind import Planned
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -32,8 +33,10 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
     held_kwh = float(dispatch.soc[-1] @ site.batteries.energy_kwh)
     for kind, kwh_each in value.kwh_each.items():
         units, known = site.kinds[kind], ahead.by_kind[kind].part(slice(dispatch.n_steps))
-        plan = (dispatch.taken_by(kind, units), dispatch.running_of(kind, units), site.dt_h)
-        held_kwh += known.left_kwh(units, *plan, kwh_each)
+        taken_kw, running = dispatch.taken_by(kind, units), dispatch.running_of(kind, units)
+        connected = units.connected(site.customers, dispatch.served)
+        plan = Planned(taken_kw, running, connected, site.dt_h)
+        held_kwh += known.left_kwh(units, plan, kwh_each)
     return held_kwh
 
 

@@ -45,7 +45,7 @@ ACTIONS = {
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",
-    **{name: words for of in parts("reasons").values() for name, words in of.ACTIONS.items()},
+    **{name: words for of in parts("words").values() for name, words in of.ACTIONS.items()},
 }
 
 

@@ -27,7 +27,7 @@ from vppres.day.outages import KNOWN
 from vppres.day.recorder import StepRecord
 from vppres.day.trajectory import SHARE
 from vppres.explain.day import explain_step
-from vppres.explain.recorded import MOVE_KW
+from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS as OF_KINDS
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario

@@ -1,8 +1,9 @@
-"""Vehicles in the record of a run, their figures, and words about those that left short."""
+"""Vehicles in words: record of a run, figures, cautions, events, and reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,8 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Floats
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
-from vppres.kinds.kind import NAMES_SHOWN
-from vppres.kinds.vehicles.past_days import PastDays
-from vppres.kinds.vehicles.physics import Garage
+from vppres.kinds.kind import MOVE_KW, NAMES_SHOWN, Why
+from vppres.kinds.vehicles.physics import Garage, PastDays
 from vppres.plant.plant import Realised
 from vppres.scenario.scenario import Scenario
 
@@ -131,3 +131,93 @@ def energies(figures: Mapping[str, Any]) -> list[tuple[str, float]]:
         ("Vehicles charged", figures["charged_kwh"]),
         ("Vehicles gave back", figures["given_back_kwh"]),
     ]
+
+
+Vehicle = dict[str, Any]
+
+ACTIONS = {
+    "expected": "vehicle expected",
+    "charged": "vehicle charged",
+    "given_back": "vehicle discharged",
+    "left_short": "vehicle left short",
+}
+"""Actions that reasons are given for, in words."""
+
+
+def reasons(step: Any) -> Iterator[tuple[str, str, Why]]:
+    """Name of each vehicle that was expected, charged, discharged or left short, and why."""
+    yield from _expected(step)
+    now: Any = step.recorded.trajectory.rows("vehicles", step.t)
+    for charger, car in enumerate(now.to_dict("records")):
+        if not car["plugged"]:
+            continue
+        name = str(car["vehicle"])
+        if car["p_kw"] > MOVE_KW:
+            yield name, "charged", why_charged(step, charger, car)
+        if car["p_kw"] < -MOVE_KW:
+            yield name, "given_back", why_given_back(step, car)
+        if car["short_kwh"] > 0.0:
+            yield name, "left_short", why_short(step, charger, car)
+
+
+def _expected(step: Any) -> Iterator[tuple[str, str, Why]]:
+    """Vehicles that plans before the step expected to come at its beginning."""
+    past_days, grid = step.windows.observer.past_days["chargers"], step.scenario.grid
+    if past_days is None:
+        return
+    sessions = past_days.expected(grid, range(step.t, step.t + 1))
+    today = grid.local(grid.start + step.t * grid.step).toordinal()
+    like = date.fromordinal(past_days.drawn_for(today))
+    needs_kwh = sessions.needed_kwh - sessions.held_kwh
+    first, _ = sessions.steps(grid)
+    for s in np.flatnonzero(first == step.t).tolist():
+        leaves = grid.local(sessions.plug_out[s])
+        words = f"Expected as on {like}: up to {leaves:%H:%M}, to need {needs_kwh[s]:.1f} kWh."
+        yield str(sessions.vehicle[s]), "expected", ("past_day", "", words)
+
+
+def why_charged(step: Any, charger: int, car: Vehicle) -> Why:
+    """Why a vehicle was charged."""
+    what = f"Charges {car['p_kw']:.1f} kW"
+    missing_kwh = car["needed_kwh"] - car["energy_start_kwh"]
+    if missing_kwh > 0.0:
+        session = step.scenario.session_at[step.t, charger]
+        leaves = step.scenario.grid.local(step.scenario.sessions.plug_out[session])
+        words = f"{what}: it leaves at {leaves:%H:%M} and needs {missing_kwh:.1f} kWh more."
+        return "departure", "", words
+    if step.outage:
+        return "surplus", "", f"{what} beyond its need: the power would be curtailed."
+    return "preparation", "", f"{what} beyond its need, to give it back later."
+
+
+def why_given_back(step: Any, car: Vehicle) -> Why:
+    """Why a vehicle was discharged."""
+    what = f"Gives {-car['p_kw']:.1f} kW"
+    if step.outage:
+        return "supply", "", f"{what} to the island, of what it holds above its floor."
+    return "price", "", f"{what} back now, and is charged when that costs less."
+
+
+def why_short(step: Any, charger: int, car: Vehicle) -> Why:
+    """Why a vehicle left with less than it needs."""
+    day = step.scenario
+    what = f"Leaves {car['short_kwh']:.1f} kWh short"
+    session = day.session_at[step.t, charger]
+    plugged = np.flatnonzero(day.session_at[:, charger] == session)
+    rate_kw = day.chargers.eta_charge[charger] * day.chargers.p_charge_kw[charger]
+    most_kwh = rate_kw * len(plugged) * day.grid.dt_h
+    held_kwh = step.recorded.trajectory.by_step("vehicles", "energy_start_kwh")[plugged[0], charger]
+    if car["needed_kwh"] - held_kwh > most_kwh:
+        words = f"{what}: its charger gives at most {most_kwh:.1f} kWh while it is plugged in."
+        return "power", "power", words
+    dark = day.outage[plugged]
+    if dark[-1]:
+        words = f"{what}: it left inside the outage, and customers come first."
+        return "priority", "", words
+    if dark.any():
+        hours = float(dark.sum()) * day.grid.dt_h
+        words = f"{what}: {hours:g} h of its time were an outage, and customers come first."
+        return "priority", "", words
+    if np.isfinite(day.grid_limit_kw[plugged]).any():
+        return "grid", "grid", f"{what}: the import is limited."
+    return "unexplained", "", f"{what}: the record gives no reason."

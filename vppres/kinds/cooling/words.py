@@ -1,4 +1,4 @@
-"""Rooms and tanks in the record of a run, and their figures."""
+"""Rooms and tanks in words: record of a run, figures, cautions, events, and reasons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vppres.core.arrays import Floats
 from vppres.core.text import counted, named
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.cooling.physics import Climate
-from vppres.kinds.kind import NAMES_SHOWN
+from vppres.kinds.kind import MOVE_KW, NAMES_SHOWN, Why
 from vppres.plant.plant import Realised
 from vppres.scenario.scenario import Scenario
 
@@ -107,3 +107,34 @@ def assumption(run: Trajectory) -> str:
 def energies(figures: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Energies of the first page in kWh, from the figures."""
     return [("Cooling and heat", figures["machines_kwh"])]
+
+
+AHEAD_C = 0.5
+"""How far inside its band a temperature is that was brought there for later."""
+
+ACTIONS = {
+    "prepared": "cooled or heated ahead",
+}
+"""Actions that reasons are given for, in words."""
+
+
+def reasons(step: Any) -> Iterator[tuple[str, str, Why]]:
+    """Name of each room or tank that was prepared for an outage, the action, and why."""
+    day = step.scenario
+    if step.outage:
+        return
+    seen = day.outage[step.t : step.t + step.windows.n_seen]
+    known = step.recorded.trajectory.options["outages"]
+    if known == "none" or not seen.any():
+        return
+    goes = day.grid.times[step.t + int(np.argmax(seen))].tz_convert(day.grid.zone)
+    when = f"goes at {goes:%H:%M}" if known == "known" else "may go"
+    now: Any = step.recorded.trajectory.rows("thermal_loads", step.t)
+    for load in now.to_dict("records"):
+        change_c = load["t_end_c"] - load["t_start_c"]
+        heats = change_c > 0.0
+        inside_c = load["t_end_c"] - load["t_min_c"] if heats else load["t_max_c"] - load["t_end_c"]
+        if load["p_kw"] > MOVE_KW and change_c != 0.0 and inside_c > AHEAD_C:
+            verb = "Heated" if heats else "Cooled"
+            words = f"{verb} to {load['t_end_c']:.1f} °C because the grid {when}."
+            yield str(load["thermal_load"]), "prepared", ("preparation", "", words)
