@@ -13,7 +13,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.net.switches import ENDS, TABLE_OF, open_elements
+from vppres.feeders.net.switches import ENDS, open_elements, open_on
 from vppres.scenario.configuration import Branches
 from vppres.scenario.network import BusId
 
@@ -97,7 +97,7 @@ def switch_off_shunts(net: Any, bus_of: Mapping[int, BusId], buses: Collection[B
         rows = net[table][net[table]["in_service"].astype(bool)]
         there = rows[[*sides]].isin(bus_of)
         at = rows[[*sides]].isin([bus for bus, own in bus_of.items() if own in buses])
-        is_open = _with_open_switch(net, table, rows.index) | ~there.all(axis=1)
+        is_open = rows.index.isin(open_on(net, table)["element"]) | ~there.all(axis=1)
         _switch_off(net, table, rows.index[is_open & at.any(axis=1)])
 
 
@@ -105,14 +105,6 @@ def _switch_off(net: Any, table: str, rows: Any) -> None:
     if len(rows):
         net[table].loc[rows, STATE[table]] = False
         mark(net, table, rows, OPENED)
-
-
-def _with_open_switch(net: Any, table: str, rows: Any) -> Flags:
-    """Which rows of a table of branches have a switch of their own that is open."""
-    words = [word for word, of in TABLE_OF.items() if of == table]
-    switches = net.switch[net.switch["et"].isin(words) & ~net.switch["closed"].astype(bool)]
-    found: Flags = rows.isin(switches["element"])
-    return found
 
 
 def _problem(is_tie: bool, name: str) -> Problem:
@@ -167,10 +159,10 @@ def _closed(net: Any, pair: frozenset[BusId], z_ohm: complex, free: list[_Free])
     (table, row), *_ = best
     if table == "switch":
         return [("switch", row, True)]
-    words = [word for word, of in TABLE_OF.items() if of == table]
-    switches = net.switch[net.switch["et"].isin(words) & (net.switch["element"] == row)]
-    still_open = switches.index[~switches["closed"].astype(bool)]
-    found: list[Change] = [("switch", i, True) for i in still_open]
+    still_open = open_on(net, table)
+    found: list[Change] = [
+        ("switch", i, True) for i in still_open.index[still_open["element"] == row]
+    ]
     if not net[table].loc[row, "in_service"]:
         found.append((table, row, True))
     return found
