@@ -212,7 +212,7 @@ class _NetTables:
             self.id_of.setdefault(int(at[bus]), own)
         self.kv = net._ppc1["bus"][:, KV].real
         self.y = {sequence: self._of_buses(case) for sequence, case in cases.items()}
-        self.branches: dict[str, pd.DataFrame] = {}
+        self.branches: dict[str, Any] = {}
         for sequence, case in cases.items():
             branch = case["branch"].real
             table = two_ports(branch, *branch[:, LEAKAGE].T)

@@ -73,7 +73,8 @@ def set_branches(net: Any, bus_of: Mapping[int, BusId], branches: Branches, carr
     free = [*_open_between(net, bus_of, branches.network.base_kv)] if carries[tie].any() else []
     for branch in np.flatnonzero(carries == tie):
         if tie[branch]:
-            found = _closed(net, pairs[branch], _z_ohm(branches, int(branch)), free)
+            at, ties = branch - branches.network.n_lines, branches.ties
+            found = _closed(net, pairs[branch], complex(ties.r_ohm[at], ties.x_ohm[at]), free)
         else:
             found = _opened(net, bus_of, pairs[branch])
         if not found:
@@ -171,8 +172,3 @@ def _closed(net: Any, pair: frozenset[BusId], z_ohm: complex, free: list[_Free])
 def _pair(bus_of: Mapping[int, BusId], ends: Any) -> frozenset[BusId]:
     """Both buses of the scenario; fewer where an end is none, or both are one."""
     return frozenset(bus_of[int(end)] for end in ends if int(end) in bus_of)
-
-
-def _z_ohm(branches: Branches, branch: int) -> complex:
-    tie = branch - branches.network.n_lines
-    return complex(branches.ties.r_ohm[tie], branches.ties.x_ohm[tie])

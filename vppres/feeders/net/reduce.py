@@ -106,6 +106,8 @@ def feeder_of(
     branches = parallel_as_one(joined.branches)
     network = _network(branches, joined, ids, fixed_power(loads, condensers))
     of_customers = loads[has_customer(loads)].reindex(network.buses)
+    # The first bus of a row is the one that stays.
+    bus_in_net = {ids[row]: bus for bus, row in reversed(joined.bus_at.items())}
     feeder = ImportedFeeder(
         name=name,
         network=network,
@@ -125,17 +127,12 @@ def feeder_of(
         ),
         left_out=left_out,
         causes=tuple(causes_of(net, case)),
-        source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
+        source_flow=PandapowerFlow(net, bus_in_net),
         title=_own_name(net),
         switches=switches_of(net, joined, ids, network),
         source_solves=solved,
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
-
-
-def _last_first(case: NetCase) -> list[tuple[int, int]]:
-    """Buses and their rows, so that the first bus of a row is the one that stays."""
-    return [*reversed(case.bus_at.items())]
 
 
 def _raise(problems: list[Problem]) -> None:

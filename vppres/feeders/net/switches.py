@@ -132,7 +132,8 @@ def _open_branches(net: Any, base_kv: float) -> Iterator[_Found]:
 def _off(net: Any, table: str) -> pd.Series[bool]:
     """Branches that are out of service, or have an open switch."""
     off: pd.Series[bool] = ~net[table]["in_service"].astype(bool)
-    return off | net[table].index.isin(open_on(net, table)["element"])
+    off |= net[table].index.isin(open_on(net, table)["element"])
+    return off
 
 
 def switches_on(net: Any, table: str) -> pd.DataFrame:
