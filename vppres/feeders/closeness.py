@@ -22,6 +22,7 @@ from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.feeder import Deviation, ImportedFeeder
 from vppres.feeders.net.elements import NetCase, label, supplied
 from vppres.kinds.table import units_of
+from vppres.physics.phased_sources import assets_of, drawn_uncontrolled
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
@@ -223,6 +224,14 @@ def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
             p_kw = p_kw - place @ most_kw[t]
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
         yield p_kw, q_kvar
+
+
+def extreme_steps_by_phase(scenario: Scenario) -> Iterator[tuple[int, Floats, Floats]]:
+    """Steps of extreme demand and generation, and what each device draws in kW and kvar there."""
+    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
+    load_kw, load_kvar, count = scenario.load_kw, scenario.load_kvar, len(assets_of(scenario))
+    for t in extreme_times(scenario):
+        yield t, *drawn_uncontrolled(load_kw[t], load_kvar[t], usable_kw[t], count)
 
 
 def extreme_times(scenario: Scenario) -> list[int]:

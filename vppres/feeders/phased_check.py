@@ -9,9 +9,9 @@ import numpy as np
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import VerificationError
 from vppres.core.units import VA_PER_KVA
-from vppres.feeders.closeness import extreme_times
+from vppres.feeders.closeness import extreme_steps_by_phase
 from vppres.physics.phased_loading import Loadings
-from vppres.physics.phased_sources import assets_of, drawn_uncontrolled, flow_of_grid
+from vppres.physics.phased_sources import assets_of, flow_of_grid
 from vppres.physics.phases import PhasedFlow
 from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
@@ -81,22 +81,18 @@ def phased_check(scenario: Scenario, phases: Phases) -> PhasedCheck:
     net = scenario.network
     flow = flow_of_grid(phases, assets_of(scenario), net.v_slack_pu)
     loadings = Loadings.of(phases)
-    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
-    times = extreme_times(scenario)
+    steps = [*extreme_steps_by_phase(scenario)]
     names = [f"phase {phase} of bus {bus}" for bus, phase in flow.measured[0]]
     complete = [f"bus {bus}" for bus in flow.complete[0]]
     mismatch, v_pu, loading, unbalance = [], [], [], []
     solved = []
-    for t in times:
-        drawn = drawn_uncontrolled(
-            scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(flow.assets)
-        )
+    for t, p_kw, q_kvar in steps:
         try:
-            v = flow.solve(*drawn).v
+            v = flow.solve(p_kw, q_kvar).v
         except VerificationError:
             continue
         solved.append(scenario.grid.times[t].tz_convert(scenario.grid.zone))
-        mismatch.append(_mismatch_kva(flow, *drawn, v))
+        mismatch.append(_mismatch_kva(flow, p_kw, q_kvar, v))
         v_pu.append(flow.v_pu(v))
         loading.append(loadings.at(v))
         unbalance.append(flow.unbalance(v))
@@ -113,8 +109,8 @@ def phased_check(scenario: Scenario, phases: Phases) -> PhasedCheck:
         return Extreme(float(table[row, place]), at[int(place)], when)
 
     return PhasedCheck(
-        steps=len(times),
-        unsolved=len(times) - len(solved),
+        steps=len(steps),
+        unsolved=len(steps) - len(solved),
         mismatch_kva=max(mismatch, default=None),
         nodes=len(names),
         nodes_outside=int(outside.sum()),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -107,17 +107,9 @@ def import_network(
         with _quiet():
             return _feeder(_Net(_of_today(name_or_file)), "pandapower net", changes)
     text = str(name_or_file)
-    if source not in (None, *get_args(Source)):
-        raise InputError.of(
-            "options",
-            f"must be one of {', '.join(get_args(Source))}",
-            "Correct the source.",
-            field="from",
-            value=source,
-        )
     with _quiet():
         if source is None and text in NAMED:
-            return _feeder(NAMED[text](), text, changes)
+            return _feeder(_named(text), text, changes)
         found = _read(text, source, not balance)
         with _to_blame(Path(text), "a network"):
             return _feeder(found, Path(text).name, changes)
@@ -233,6 +225,14 @@ def _quiet() -> Iterator[None]:
 
 def _read(text: str, source: Source | None, by_phase: bool) -> _Net:
     """The net of a file or code; of OpenDSS with its phases, or as a balanced equivalent."""
+    if source not in (None, *get_args(Source)):
+        raise InputError.of(
+            "options",
+            f"must be one of {', '.join(get_args(Source))}",
+            "Correct the source.",
+            field="from",
+            value=source,
+        )
     never = NEVER.get(Path(text).suffix.lower())
     if never and source != "simbench":
         raise InputError.of(
@@ -258,7 +258,11 @@ def _read(text: str, source: Source | None, by_phase: bool) -> _Net:
     if not path.is_file():
         raise InputError.of(f"network {text}", "there is no such file", "Correct the path.")
     if kind == "opendss":
-        return _opendss(path, by_phase)
+        # OpenDSS is loaded in a process of its own, never in this one.
+        _needs("opendssdirect", "opendss")
+        from vppres.feeders.dss.circuit import read_opendss
+
+        return _Net(*read_opendss(path, by_phase=by_phase))
     return _pandapower(path) if kind == "pandapower" else _matpower(path)
 
 
@@ -294,14 +298,6 @@ def _matpower(path: Path) -> _Net:
     return _Net(net, notes=notes)
 
 
-def _opendss(path: Path, by_phase: bool) -> _Net:
-    # OpenDSS is loaded in a process of its own, never in this one.
-    _needs("opendssdirect", "opendss")
-    from vppres.feeders.dss.circuit import read_opendss
-
-    return _Net(*read_opendss(path, by_phase=by_phase))
-
-
 def _simbench(code: str) -> _Net:
     _needs("simbench", "simbench")
     simbench: Any = importlib.import_module("simbench")
@@ -323,46 +319,28 @@ def _unreadable(path: Path, what: str, reason: object) -> InputError:
     )
 
 
-def _case33() -> _Net:
-    """Baran and Wu's 33 buses, numbered from 1 as published; its tie lines are open."""
+@cache
+def _made(name: str) -> _Net:
+    """A network by name; published feeders are numbered from 1, as their authors do."""
     import pandapower.networks as networks
 
-    net = networks.case33bw()
-    return _Net(net, {int(bus): int(bus) + 1 for bus in net.bus.index})
+    from vppres.feeders import published
+
+    make, first = {
+        "case16": (published.case16, 0),
+        "case33bw": (networks.case33bw, 1),
+        "case69": (published.case69, 0),
+        "cigre-mv": (networks.create_cigre_network_mv, None),
+        "cigre-mv-der": (partial(networks.create_cigre_network_mv, with_der="pv_wind"), None),
+    }[name]
+    net = make()
+    return _Net(net, None if first is None else {int(i): int(i) + first for i in net.bus.index})
 
 
-def _published(name: str) -> Callable[[], _Net]:
-    """A published feeder, numbered from 1."""
-
-    def read() -> _Net:
-        from vppres.feeders import published
-
-        net = getattr(published, name)()
-        return _Net(net, {int(bus): int(bus) for bus in net.bus.index})
-
-    return read
+def _named(name: str) -> _Net:
+    """A network by name: a copy takes a twentieth of the time that its first reading takes."""
+    return deepcopy(_made(name))
 
 
-def _cigre(with_der: str | bool) -> Callable[[], _Net]:
-    def read() -> _Net:
-        import pandapower.networks as networks
-
-        return _Net(networks.create_cigre_network_mv(with_der=with_der))
-
-    return read
-
-
-def _once(read: Callable[[], _Net]) -> Callable[[], _Net]:
-    """Reads a net once; every caller gets a copy, which takes a twentieth of the time."""
-    known = cache(read)
-    return lambda: deepcopy(known())
-
-
-NAMED: dict[str, Callable[[], _Net]] = {
-    "case16": _once(_published("case16")),
-    "case33bw": _once(_case33),
-    "case69": _once(_published("case69")),
-    "cigre-mv": _once(_cigre(False)),
-    "cigre-mv-der": _once(_cigre("pv_wind")),
-}
+NAMED = ("case16", "case33bw", "case69", "cigre-mv", "cigre-mv-der")
 """Networks that can be imported by name."""

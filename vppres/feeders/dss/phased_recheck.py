@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.core.errors import VerificationError
 from vppres.core.units import V_PER_KV
-from vppres.feeders.closeness import extreme_times
+from vppres.feeders.closeness import extreme_steps_by_phase
 from vppres.feeders.dss.circuit import OWN_SOURCES, OpenDSSFlow
 from vppres.feeders.dss.recheck import (
     Recheck,
@@ -24,7 +24,7 @@ from vppres.feeders.dss.recheck import (
 )
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.new.connections import customer_of
-from vppres.physics.phased_sources import assets_of, drawn_uncontrolled, flow_of_grid
+from vppres.physics.phased_sources import assets_of, flow_of_grid
 from vppres.physics.phases import measures
 from vppres.scenario.earthing import in_island
 from vppres.scenario.phases import PhaseConnection, Phases, coils_of
@@ -54,7 +54,14 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
     }
     found = solved_steps(job, source)
     voltages = _voltages(run, phases, found, former)
-    return Recheck(voltages, step_table(run, found, voltages), _cause(voltages), _notes(former))
+    apart_pu = float(voltages["difference_pu"].abs().max())
+    cause = (
+        f"Every asset is on its own phases: voltages, also of islands, differ by {apart_pu:.1g} pu."
+    )
+    notes = ["Regulators are as in the scenario; loads and generation of the script are off."]
+    if former is not None:
+        notes.append(f"In islands a source stands at {former}, at the voltage that it holds.")
+    return Recheck(voltages, step_table(run, found, voltages), cause, tuple(notes))
 
 
 def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | None:
@@ -73,11 +80,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     assets = [
         {"load": loads[each]} if each in own else _asset(phases.connection(each)) for each in names
     ]
-    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
-    powers = [
-        drawn_uncontrolled(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(assets))
-        for t in extreme_times(scenario)
-    ]
+    powers = [(p_kw, q_kvar) for _, p_kw, q_kvar in extreme_steps_by_phase(scenario)]
     steps = [{"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": None} for p, q in powers]
     job = {"off": OWN_SOURCES, "open_deltas": True, "assets": assets, "steps": steps}
     job |= {"disabled": flow.disabled, **flow.job}
@@ -153,18 +156,3 @@ def _voltages(
     v_pu = np.where(np.isnan(v_plan_pu), np.nan, v_pu)
     table = side_by_side(run, phases.measured, v_pu, v_plan_pu)
     return table.assign(phase=run["nodes"]["phase"].to_numpy())
-
-
-def _cause(voltages: pd.DataFrame) -> str:
-    """How close the two are, islands too."""
-    largest = float(voltages["difference_pu"].abs().max())
-    return (
-        f"Every asset is on its own phases: voltages, also of islands, differ by {largest:.1g} pu."
-    )
-
-
-def _notes(former: str | None) -> tuple[str, ...]:
-    stays = "Regulators are as in the scenario; loads and generation of the script are off."
-    if former is None:
-        return (stays,)
-    return stays, f"In islands a source stands at {former}, at the voltage that it holds."

@@ -70,7 +70,7 @@ def phased_source(flow: OpenDSSFlow, feeder: ImportedFeeder) -> PhasedSource:
     loads, left_out = tables.powers()
     source = PhasedSource(with_grid(phases), tuple(loads), found["source"]["v_pu"])
     difference_pu = _difference(source, found["v_pu"])
-    notes = (*_notes(source.phases), *_told_kept(found["kept"]), *left_out)
+    notes = (*_notes(source.phases, found["kept"]), *left_out)
     if difference_pu is None:
         notes += (NO_SOLUTION if found["v_pu"] else NOT_CONVERGED,)
     causes = tuple(words for _, words in found["beyond"])
@@ -104,18 +104,14 @@ def kept_phases(phases: Phases) -> str:
     )
 
 
-def _told_kept(kept: list[str]) -> Iterator[str]:
-    """Sentence on elements that the phases have and the tree of buses lacks."""
-    if kept:
-        yield f"In service by phase, as conductors depend on it: {named(kept)}."
-
-
-def _notes(phases: Phases) -> Iterator[str]:
-    """Notes on the phases."""
+def _notes(phases: Phases, kept: list[str]) -> Iterator[str]:
+    """Notes on the phases, and on elements that they have and the tree of buses lacks."""
     yield kept_phases(phases)
     wires = sum(row.limits == LINES for row in phases.buses)
     if wires:
         yield f"Limits are for voltages between phases at {wires} buses that nothing earths."
+    if kept:
+        yield f"In service by phase, as conductors depend on it: {named(kept)}."
 
 
 class _CircuitTables:

@@ -10,7 +10,7 @@ Branches are tables with the columns ``from``, ``to``, ``r``, ``x``, ``tap``, ``
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,19 @@ millionth of the voltage across it. It is 0.14 milliohm at 12 kV and 0.16 microo
 
 EVEN = 1e-9
 """Difference of a branch's two shunts, as a share, up to which they count as the same."""
+
+
+COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8, "shift": 9}
+CHARGING = 4
+"""Columns of the branches of pandapower's case."""
+
+
+def two_ports(branch: Floats, g: Floats, g_more: Floats, b_more: Floats) -> pd.DataFrame:
+    """Branches of a case, with the leakage ``g`` and what the second shunt has beyond the first."""
+    half = 0.5 * (g + 1j * branch[:, CHARGING])
+    columns: dict[str, Any] = {name: branch[:, column] for name, column in COLUMNS.items()}
+    columns |= {"y_from": half, "y_to": half + 0.5 * (g_more + 1j * b_more)}
+    return pd.DataFrame(columns).astype({"from": int, "to": int})
 
 
 class Stub(NamedTuple):

@@ -21,10 +21,11 @@ from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
 from vppres.feeders.dss.phases import flow_of_source, kept_phases
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
-from vppres.feeders.net.branches import split_stubs
+from vppres.feeders.net.branches import split_stubs, two_ports
 from vppres.feeders.net.elements import in_service, label, tiers_of
 from vppres.feeders.net.ratings import rating_mva
-from vppres.feeders.net.reduce import ENDS, with_branch
+from vppres.feeders.net.reduce import BS, GS, KV, with_branch
+from vppres.feeders.net.switches import ENDS
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -62,9 +63,9 @@ NO_BRANCH = 1e12
 LEAST_KW = 1e-9
 """Power below which there is none."""
 
-F_BUS, T_BUS, R, X, B, TAP, SHIFT, STATUS = 0, 1, 2, 3, 4, 8, 9, 10
-BR_G, BR_G_ASYM, BR_B_ASYM = 23, 24, 25
-GS, BS, KV = 4, 5, 9
+STATUS = 10
+LEAKAGE = slice(23, 26)
+"""Columns of the branches of pandapower's case that :func:`two_ports` asks for."""
 
 
 def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
@@ -203,15 +204,23 @@ class _NetTables:
         self.net = net
         self.name = name
         self.slack = feeder.network.slack_bus
-        self.one, self.zero = net._ppc1, net._ppc0
-        self.base_mva = float(self.one["baseMVA"])
+        cases = {"one": net._ppc1, "zero": net._ppc0}
+        self.base_mva = float(net._ppc1["baseMVA"])
         at = net._pd2ppc_lookups["bus"]
         self.id_of: dict[int, BusId] = {}
         for bus, own in feeder.bus_of.items():
             self.id_of.setdefault(int(at[bus]), own)
-        self.kv = self.one["bus"][:, KV].real
-        self.y = {"zero": self._of_buses(self.zero), "one": self._of_buses(self.one)}
-        self._add_open_ends()
+        self.kv = net._ppc1["bus"][:, KV].real
+        self.y = {sequence: self._of_buses(case) for sequence, case in cases.items()}
+        self.branches: dict[str, Any] = {}
+        for sequence, case in cases.items():
+            branch = case["branch"].real
+            table = two_ports(branch, *branch[:, LEAKAGE].T)
+            self.branches[sequence] = table
+            # What branches that are open at one end draw at the other.
+            _, stubs = split_stubs(table.assign(label="")[branch[:, STATUS] > 0], {*self.id_of})
+            for stub in stubs:
+                self.y[sequence][stub.row] += stub.y / self._ohm(self.kv[stub.row])
         self.lines: list[PhaseLine] = []
         self.units: list[PhaseTransformer] = []
 
@@ -225,25 +234,11 @@ class _NetTables:
         """Impedance of 1 pu: a phase has the base power by itself."""
         return kv**2 / (3.0 * self.base_mva)
 
-    def _add_open_ends(self) -> None:
-        """Add what branches that are open at one end draw at the other to the ground there."""
-        for sequence, case in (("one", self.one), ("zero", self.zero)):
-            branch = case["branch"].real
-            own = 0.5 * (branch[:, BR_G] + 1j * branch[:, B])
-            more = 0.5 * (branch[:, BR_G_ASYM] + 1j * branch[:, BR_B_ASYM])
-            columns = {"from": F_BUS, "to": T_BUS, "r": R, "x": X, "tap": TAP}
-            table = pd.DataFrame({name: branch[:, at] for name, at in columns.items()})
-            table = table.astype({"from": int, "to": int})
-            table = table.assign(y_from=own, y_to=own + more, label="")
-            _, stubs = split_stubs(table[branch[:, STATUS] > 0], {*self.id_of})
-            for stub in stubs:
-                self.y[sequence][stub.row] += stub.y / self._ohm(self.kv[stub.row])
-
     def phases(self) -> Phases:
         """Buses, lines, transformers, and what goes to ground; no connections."""
         for table, (first, end) in self.net._pd2ppc_lookups["branch"].items():
             for i, row in zip(with_branch(self.net, table), range(first, end), strict=False):
-                start, last = (int(self.one["branch"][row, at].real) for at in (F_BUS, T_BUS))
+                start, last = (int(self.branches["one"].at[row, at]) for at in ("from", "to"))
                 if self.id_of.get(start) in (None, self.id_of.get(last)) or last not in self.id_of:
                     continue
                 if table == "trafo":
@@ -256,24 +251,27 @@ class _NetTables:
         buses = tuple(PhaseBus(str(own), own, kv[own], " ".join(PHASES)) for own in order)
         return Phases(buses, tuple(self.lines), tuple(self.units), tuple(self._shunts()))
 
-    def _branch(self, case: Any, row: int) -> tuple[complex, complex]:
-        """Impedance and charging of a branch in pu; no impedance where it does not connect."""
-        r, x, b = case["branch"][row, [R, X, B]].real
-        return complex(r, x), 1j * b
+    def _z(self, sequence: str, row: int) -> complex:
+        """Impedance of a branch in pu."""
+        r, x = self.branches[sequence].loc[row, ["r", "x"]]
+        return complex(r, x)
 
     def _line(self, row: int, start: int, end: int, i_max_a: float) -> None:
         """A line or a switch: matrices of its sequences; its leakage goes to ground at its ends."""
         ohm = self._ohm(self.kv[start])
-        (one, b_one), (zero, b_zero) = (self._branch(c, row) for c in (self.one, self.zero))
-        for sequence, case in (("one", self.one), ("zero", self.zero)):
+        one, zero = (self._z(sequence, row) for sequence in ("one", "zero"))
+        charging = []
+        for sequence in ("one", "zero"):
+            half = complex(self.branches[sequence].at[row, "y_from"])
+            charging.append(2j * half.imag / ohm)
             for bus in (start, end):
-                self.y[sequence][bus] += 0.5 * case["branch"][row, BR_G].real / ohm
+                self.y[sequence][bus] += half.real / ohm
         self.lines.append(
             PhaseLine(
                 str(self.id_of[start]),
                 str(self.id_of[end]),
                 _matrix(one * ohm, zero * ohm),
-                _matrix(b_one / ohm, b_zero / ohm).imag * US_PER_S,
+                _matrix(*charging).imag * US_PER_S,
                 i_max_a,
             )
         )
@@ -281,17 +279,16 @@ class _NetTables:
     def _transformer(self, i: Any, row: int, high: int, low: int) -> None:
         """A transformer whose high voltage carries no zero sequence."""
         words = label(self.net, "trafo", i)
-        clock = round(float(self.one["branch"][row, SHIFT].real) / 30.0) % 12
-        zero, _ = self._branch(self.zero, row)
-        if clock not in OF_CLOCK or abs(zero) < NO_BRANCH:
+        clock = round(self.branches["one"].at[row, "shift"] / 30.0) % 12
+        if clock not in OF_CLOCK or abs(self._z("zero", row)) < NO_BRANCH:
             group = self.net.trafo["vector_group"].at[i]
             known = "Dyn and Yzn, with an odd number, are known by phase"
             raise InputError.of(self.name, f"{words} is {group}{clock}: {known}", CURE)
-        one, _ = self._branch(self.one, row)
+        one = self._z("one", row)
         rated = self.net.trafo.loc[i]
         kva = W_PER_KW * float(rated["sn_mva"]) * float(rated["parallel"]) / len(PHASES)
         pct = 100.0 * one * kva / (W_PER_KW * self.base_mva)
-        tap = float(self.one["branch"][row, TAP].real)
+        tap = float(self.branches["one"].at[row, "tap"])
         self.units.append(
             PhaseTransformer(
                 str(rated["name"] or f"t{i}") if isinstance(rated["name"], str) else f"t{i}",
@@ -309,11 +306,10 @@ class _NetTables:
         )
         # Its coils have the impedance of the positive sequence in the zero sequence too.
         self.y["zero"][low] -= 1.0 / (one * self._ohm(self.kv[low]))
-        for sequence, case in (("one", self.one), ("zero", self.zero)):
-            b, g, g_more, b_more = case["branch"][row, [B, BR_G, BR_G_ASYM, BR_B_ASYM]].real
-            half = 0.5 * np.array([g + 1j * b, g + g_more + 1j * (b + b_more)])
-            self.y[sequence][high] += half[0] / tap**2 / self._ohm(self.kv[high])
-            self.y[sequence][low] += half[1] / self._ohm(self.kv[low])
+        for sequence, table in self.branches.items():
+            first, second = table.loc[row, ["y_from", "y_to"]]
+            self.y[sequence][high] += first / tap**2 / self._ohm(self.kv[high])
+            self.y[sequence][low] += second / self._ohm(self.kv[low])
 
     def _shunts(self) -> Iterator[PhaseShunt]:
         """Shunts at each bus: a wye for the zero sequence, a delta for the rest."""

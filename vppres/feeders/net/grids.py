@@ -107,7 +107,7 @@ def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
     if first.table == "gen":
         net.gen.loc[first.index, "in_service"] = False
         pp.create_ext_grid(net, first.bus, vm_pu=first.v_pu, name=first.label)
-        yield f"{_capital(first.label)} is taken as the grid connection."
+        yield f"{first.label[:1].upper()}{first.label[1:]} is taken as the grid connection."
     for grid in others:
         if grid.table == "ext_grid":
             net.ext_grid.loc[grid.index, "in_service"] = False
@@ -136,7 +136,3 @@ def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
             f"The grid connection is {first.label}; generators with their own active power and no "
             f"longer the balance of the net: {named(generating)}."
         )
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

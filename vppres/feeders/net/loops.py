@@ -35,12 +35,9 @@ NO_FLOW = (
     "with the largest impedance."
 )
 
-# Of each table: the bus at the first end, and the power that goes in there.
-FIRST_END = {
-    "line": ("from_bus", "p_from_mw", "q_from_mvar"),
-    "trafo": ("hv_bus", "p_hv_mw", "q_hv_mvar"),
-    "impedance": ("from_bus", "p_from_mw", "q_from_mvar"),
-}
+FIRST_END = {"line": "from", "trafo": "hv", "impedance": "from"}
+"""Word for the first end in the columns of each table."""
+
 Element = tuple[str, Any]
 
 
@@ -146,10 +143,10 @@ def _given(net: Any, column: str) -> dict[Element, float]:
 def _currents(net: Any) -> dict[Element, float]:
     """Current of each branch in the last power flow, in MVA at nominal voltage."""
     found: dict[Element, float] = {}
-    for table, (bus, p_mw, q_mvar) in FIRST_END.items():
+    for table, end in FIRST_END.items():
         result = net[f"res_{table}"]
-        v_pu = net.res_bus["vm_pu"].reindex(net[table][bus]).to_numpy()
-        current = np.hypot(result[p_mw], result[q_mvar]) / v_pu
+        v_pu = net.res_bus["vm_pu"].reindex(net[table][f"{end}_bus"]).to_numpy()
+        current = np.hypot(result[f"p_{end}_mw"], result[f"q_{end}_mvar"]) / v_pu
         found |= {(table, i): value for i, value in current.fillna(0.0).items()}
     return found
 

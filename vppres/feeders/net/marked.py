@@ -13,7 +13,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.net.switches import ENDS, TABLE_OF, open_elements
+from vppres.feeders.net.switches import ENDS, open_elements, open_on
 from vppres.scenario.configuration import Branches
 from vppres.scenario.network import BusId
 
@@ -73,7 +73,8 @@ def set_branches(net: Any, bus_of: Mapping[int, BusId], branches: Branches, carr
     free = [*_open_between(net, bus_of, branches.network.base_kv)] if carries[tie].any() else []
     for branch in np.flatnonzero(carries == tie):
         if tie[branch]:
-            found = _closed(net, pairs[branch], _z_ohm(branches, int(branch)), free)
+            at, ties = branch - branches.network.n_lines, branches.ties
+            found = _closed(net, pairs[branch], complex(ties.r_ohm[at], ties.x_ohm[at]), free)
         else:
             found = _opened(net, bus_of, pairs[branch])
         if not found:
@@ -97,7 +98,7 @@ def switch_off_shunts(net: Any, bus_of: Mapping[int, BusId], buses: Collection[B
         rows = net[table][net[table]["in_service"].astype(bool)]
         there = rows[[*sides]].isin(bus_of)
         at = rows[[*sides]].isin([bus for bus, own in bus_of.items() if own in buses])
-        is_open = _with_open_switch(net, table, rows.index) | ~there.all(axis=1)
+        is_open = rows.index.isin(open_on(net, table)["element"]) | ~there.all(axis=1)
         _switch_off(net, table, rows.index[is_open & at.any(axis=1)])
 
 
@@ -105,14 +106,6 @@ def _switch_off(net: Any, table: str, rows: Any) -> None:
     if len(rows):
         net[table].loc[rows, STATE[table]] = False
         mark(net, table, rows, OPENED)
-
-
-def _with_open_switch(net: Any, table: str, rows: Any) -> Flags:
-    """Which rows of a table of branches have a switch of their own that is open."""
-    words = [word for word, of in TABLE_OF.items() if of == table]
-    switches = net.switch[net.switch["et"].isin(words) & ~net.switch["closed"].astype(bool)]
-    found: Flags = rows.isin(switches["element"])
-    return found
 
 
 def _problem(is_tie: bool, name: str) -> Problem:
@@ -167,10 +160,10 @@ def _closed(net: Any, pair: frozenset[BusId], z_ohm: complex, free: list[_Free])
     (table, row), *_ = best
     if table == "switch":
         return [("switch", row, True)]
-    words = [word for word, of in TABLE_OF.items() if of == table]
-    switches = net.switch[net.switch["et"].isin(words) & (net.switch["element"] == row)]
-    still_open = switches.index[~switches["closed"].astype(bool)]
-    found: list[Change] = [("switch", i, True) for i in still_open]
+    still_open = open_on(net, table)
+    found: list[Change] = [
+        ("switch", i, True) for i in still_open.index[still_open["element"] == row]
+    ]
     if not net[table].loc[row, "in_service"]:
         found.append((table, row, True))
     return found
@@ -179,8 +172,3 @@ def _closed(net: Any, pair: frozenset[BusId], z_ohm: complex, free: list[_Free])
 def _pair(bus_of: Mapping[int, BusId], ends: Any) -> frozenset[BusId]:
     """Both buses of the scenario; fewer where an end is none, or both are one."""
     return frozenset(bus_of[int(end)] for end in ends if int(end) in bus_of)
-
-
-def _z_ohm(branches: Branches, branch: int) -> complex:
-    tie = branch - branches.network.n_lines
-    return complex(branches.ties.r_ohm[tie], branches.ties.x_ohm[tie])

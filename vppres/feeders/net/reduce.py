@@ -31,23 +31,19 @@ from vppres.feeders.net.branches import (
     joined_rows,
     parallel_as_one,
     split_stubs,
+    two_ports,
 )
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of, told_left_out
 from vppres.feeders.net.ratings import rating_mva
-from vppres.feeders.net.switches import switches_of, told_open_transformers
+from vppres.feeders.net.switches import ENDS, switches_of, told_open_transformers
 from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
 from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
 from vppres.scenario.network import BusId, Network, find_loops
 
 BRANCHES = ("line", "trafo", "trafo3w", "impedance")
-ENDS = {
-    "line": ("from_bus", "to_bus"),
-    "trafo": ("hv_bus", "lv_bus"),
-    "impedance": ("from_bus", "to_bus"),
-}
 # Three-phase loads, controlled devices and direct current have no place in the model.
 UNSUPPORTED = (
     "asymmetric_load",
@@ -67,10 +63,8 @@ UNSUPPORTED = (
 LOOPS_SHOWN = 2
 SAME_DEGREE = 1e-6
 LONGEST_TITLE = 100
-# Columns of the tables of pandapower's case.
-COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8, "shift": 9}
-B = 4
 GS, BS, KV = 4, 5, 9
+"""Columns of the buses of pandapower's case."""
 
 
 def _own_name(net: Any) -> str:
@@ -112,6 +106,8 @@ def feeder_of(
     branches = parallel_as_one(joined.branches)
     network = _network(branches, joined, ids, fixed_power(loads, condensers))
     of_customers = loads[has_customer(loads)].reindex(network.buses)
+    # The first bus of a row is the one that stays.
+    bus_in_net = {ids[row]: bus for bus, row in reversed(joined.bus_at.items())}
     feeder = ImportedFeeder(
         name=name,
         network=network,
@@ -131,17 +127,12 @@ def feeder_of(
         ),
         left_out=left_out,
         causes=tuple(causes_of(net, case)),
-        source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
+        source_flow=PandapowerFlow(net, bus_in_net),
         title=_own_name(net),
         switches=switches_of(net, joined, ids, network),
         source_solves=solved,
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
-
-
-def _last_first(case: NetCase) -> list[tuple[int, int]]:
-    """Buses and their rows, so that the first bus of a row is the one that stays."""
-    return [*reversed(case.bus_at.items())]
 
 
 def _raise(problems: list[Problem]) -> None:
@@ -246,20 +237,12 @@ def case_of(net: Any) -> NetCase:
     inside = [
         origin for origin, used in zip(origins, ppc["internal"]["branch_is"], strict=True) if used
     ]
-    table: Floats = ppc["branch"].real
-    more = {name: _beside(ppc, name) for name in ("branch_g", "branch_g_asym", "branch_b_asym")}
-    half = 0.5 * (more["branch_g"] + 1j * table[:, B])
-    uneven = 0.5 * (more["branch_g_asym"] + 1j * more["branch_b_asym"])
-    branches = pd.DataFrame(
-        {
-            **{name: table[:, column] for name, column in COLUMNS.items()},
-            "y_from": half,
-            "y_to": half + uneven,
-            "table": [kind for kind, _ in inside],
-            "element": [i for _, i in inside],
-            "label": [label(net, *o) for o in inside],
-            "rating_mva": [rating_mva(net, *o) for o in inside],
-        }
+    beside = (_beside(ppc, name) for name in ("branch_g", "branch_g_asym", "branch_b_asym"))
+    branches = two_ports(ppc["branch"].real, *beside).assign(
+        table=[kind for kind, _ in inside],
+        element=[i for _, i in inside],
+        label=[label(net, *o) for o in inside],
+        rating_mva=[rating_mva(net, *o) for o in inside],
     )
     base_mva = float(ppc["baseMVA"])
     bus: Floats = ppc["bus"].real
@@ -268,7 +251,7 @@ def case_of(net: Any) -> NetCase:
         base_mva,
         bus[:, KV],
         bus_at,
-        branches.astype({"from": int, "to": int}),
+        branches,
         bus_at[int(grid["bus"])],
         float(grid["vm_pu"]),
         np.asarray((bus[:, GS] + 1j * bus[:, BS]) / base_mva, dtype=complex),

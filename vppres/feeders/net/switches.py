@@ -122,7 +122,8 @@ def _open_branches(net: Any, base_kv: float) -> Iterator[_Found]:
                 continue
             start, end = (int(row[side]) for side in ENDS[table])
             rating_a = float(kva_to_a(float(mw_to_kw(rating_mva(net, table, i))), base_kv))
-            own = _of(net, table, i)
+            own = switches_on(net, table)
+            own = own[own["element"] == i]
             name = _name(row) or _one_name(own)
             of_net = (table, i)
             yield _Found(name, (start, end), *_breaker_and_lock(own), z_ohm, rating_a, of_net)
@@ -131,11 +132,20 @@ def _open_branches(net: Any, base_kv: float) -> Iterator[_Found]:
 def _off(net: Any, table: str) -> pd.Series[bool]:
     """Branches that are out of service, or have an open switch."""
     off: pd.Series[bool] = ~net[table]["in_service"].astype(bool)
-    for word, of in TABLE_OF.items():
-        if of == table:
-            switches = net.switch[(net.switch["et"] == word) & ~net.switch["closed"].astype(bool)]
-            off |= net[table].index.isin(switches["element"])
+    off |= net[table].index.isin(open_on(net, table)["element"])
     return off
+
+
+def switches_on(net: Any, table: str) -> pd.DataFrame:
+    """Switches that stand on the branches of a table, their ``element``."""
+    on: pd.DataFrame = net.switch[net.switch["et"].map(TABLE_OF) == table]
+    return on
+
+
+def open_on(net: Any, table: str) -> pd.DataFrame:
+    """Those of :func:`switches_on` that are open."""
+    on = switches_on(net, table)
+    return on[~on["closed"].astype(bool)]
 
 
 def _z_ohm(net: Any, table: str, row: Any, base_kv: float) -> complex | None:
@@ -273,14 +283,6 @@ def _reached(
                 found.add(other)
                 ahead.append(other)
     return found
-
-
-def _of(net: Any, table: str, element: Any) -> pd.DataFrame:
-    """Switches that stand on a branch."""
-    words = [word for word, of in TABLE_OF.items() if of == table]
-    switches: pd.DataFrame = net.switch
-    own: pd.DataFrame = switches[switches["et"].isin(words) & (switches["element"] == element)]
-    return own
 
 
 def _breaker_and_lock(switches: pd.DataFrame) -> tuple[bool, str]:

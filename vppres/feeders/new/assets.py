@@ -15,7 +15,7 @@ from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.names import identifiers, name_in
 from vppres.feeders.new.connections import battery_of, loads_of
-from vppres.feeders.new.gensets import NewSets, sets_of, taken
+from vppres.feeders.new.gensets import gensets_of, sets_of, told_sets
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -55,13 +55,19 @@ class NewAssets:
     gensets: Gensets
     tiers: dict[str, float]  #: tiers and their weights, most important first
     peak_kw: Floats  #: load of each customer in the source, (C,)
-    #: Position of the system that each generator of the source is a part of, (G,); -1 for none.
-    of_generator: Wholes
+    #: Generators of the source, see :func:`generator_table`, and what became of each: ``system`` is
+    #: the position of the system that it is a part of, -1 for none, ``genset`` its set, or empty.
+    generators: pd.DataFrame
     #: Position of the customer that each load of the source is, (E,); -1 for a part of one, or
     #: none.
     of_load: Wholes
     notes: tuple[str, ...]  #: what was chosen, drawn or left out, in sentences
-    set_labels: dict[str, str]  #: labels of the source by the sets that are made of its generators
+
+    @property
+    def set_labels(self) -> dict[str, str]:
+        """Labels of the source by the sets that are made of its generators."""
+        made = self.generators[self.generators["genset"] != ""]
+        return dict(zip(map(str, made["genset"]), map(str, made["id"]), strict=True))
 
 
 def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:
@@ -74,41 +80,41 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     peak_kw = connections["p_kw"].to_numpy(float)
     tier, tiers = _tiers(connections["tier"].to_numpy(dtype=object), options, draw_tier)
     customers = _customers(connections, tier, tiers)
-    table = generator_table(feeder)
-    kept = _kept(table, options)
+    table = generator_table(feeder, options)
+    sized = _sized_pv(customers, peak_kw, options, draw_pv, feeder.named)
+    kept = table[table["kept"]].groupby(["bus", "kind"], sort=False)
     taken = {str(name) for name in customers.id}
-    grouped = _own_systems(table[kept], feeder.named)
-    grouped["id"] = _apart(grouped["id"], grouped["kind"].replace(PV, "PV"), taken)
-    before = 0
-    if options.pv == "sized":
-        sized = _sized_pv(customers, peak_kw, options, draw_pv, feeder.named)
-        before = len(sized)
-        pv = _joined(sized, _systems(grouped, customers, {*sized.customer}))
-    else:
-        pv = _systems(grouped, customers, set())
+    systems = _own_systems(kept, feeder.named)
+    systems["id"] = _apart(systems["id"], systems["kind"].replace(PV, "PV"), taken)
+    pv = _joined(sized, _systems(systems, customers, {*sized.customer}))
     engines = sets_of(table, feeder.phased)
-    sets = _own_sets(engines, feeder.named, taken)
-    set_labels = dict(zip(map(str, sets.sets.id), map(str, engines["id"]), strict=True))
+    sizes = {name: written(engines[name].to_numpy(float)) for name in ("p_max_kw", "p_min_kw")}
+    engines = engines.assign(**sizes)
+    names = [name_in(str(label)) for label in engines["id"]] if feeder.named else None
+    ids = _apart(_own_ids(engines["kind"], engines["bus"], names), engines["kind"], taken)
+    sets = gensets_of(engines, [*ids])
+    table["system"] = (len(sized) + kept.ngroup()).reindex(table.index, fill_value=-1).astype(int)
+    table["genset"] = pd.Series(sets.id, engines.index, dtype=object)
+    table["genset"] = table["genset"].fillna("")
     own = _own_batteries(feeder)
     own = replace(own, id=_apart(own.id, ["battery"] * len(own), taken))
     added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
         _told_tiers(feeder, tier, tiers, options),
-        *_told_generators(feeder, pv, options),
-        *sets.told(),
-        *_told_batteries(own, added, sets.sets.grid_forming),
+        *_told_generators(table, pv, options),
+        *told_sets(sets, engines),
+        *_told_batteries(own, added, sets.grid_forming),
         *_told_merged(feeder, connections),
         *_told_loads(feeder),
     ]
-    of_generator = _positions(table, kept, grouped, before)
     batteries = _joined(own, added)
-    if sets.sets.grid_forming.any() and feeder.phased is None:
+    if sets.grid_forming.any() and feeder.phased is None:
         # Where a set is named, a battery that comes first has to be named too.
         batteries = replace(batteries, grid_forming=batteries.formers)
         notes += _told_former(batteries)
     of_load = connections.attrs["of_load"]
-    tables = (customers, pv, batteries, sets.sets)
-    return NewAssets(*tables, tiers, peak_kw, of_generator, of_load, tuple(notes), set_labels)
+    tables = (customers, pv, batteries, sets)
+    return NewAssets(*tables, tiers, peak_kw, table, of_load, tuple(notes))
 
 
 def written(values: Floats) -> Floats:
@@ -264,11 +270,11 @@ def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
         yield f"Drawn in every step and owned by no customer: bus {named(sizes)}."
 
 
-def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
+def generator_table(feeder: ImportedFeeder, options: NewScenarioOptions) -> pd.DataFrame:
     """Generators of the source with their kind, and why the scenario has them or not.
 
-    Columns ``id``, ``bus``, ``kind``, ``p_kw``, ``p_max_kw``, ``p_min_kw``, ``s_kva`` and
-    ``counterpart``, those that are PV systems of the scenario.
+    Columns ``id``, ``bus``, ``kind``, ``p_kw``, ``p_max_kw``, ``p_min_kw``, ``s_kva``,
+    ``counterpart``, those that can be PV systems of the scenario, and ``kept``, those that are.
     """
     own = feeder.generators
     kind = [kind_of(str(w), name_in(i)) for w, i in zip(own.kind, own.id, strict=True)]
@@ -276,55 +282,22 @@ def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
         {f.name: getattr(own, f.name) for f in fields(own)} | {"kind": kind}, dtype=object
     ).astype(dict.fromkeys(("p_kw", "p_max_kw", "p_min_kw", "s_kva"), float))
     fuelled = table["kind"].map(burns_fuel).astype(bool)
-    return table.assign(counterpart=~fuelled & (table["p_max_kw"] >= schema.MIN_KW))
+    counterpart = ~fuelled & (table["p_max_kw"] >= schema.MIN_KW)
+    other = table["kind"] != PV if options.pv == "sized" else options.pv == "existing"
+    return table.assign(counterpart=counterpart, kept=counterpart & other)
 
 
-def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
-    """Generators of the source that the scenario takes, (G,)."""
-    keep = table["counterpart"].to_numpy(bool)
-    if options.pv == "sized":
-        return np.asarray(keep & (table["kind"] != PV).to_numpy(bool))
-    return keep & (options.pv == "existing")
-
-
-def _own_systems(kept: pd.DataFrame, named: bool) -> pd.DataFrame:
+def _own_systems(kept: Any, named: bool) -> pd.DataFrame:
     """The source's systems by bus and kind: largest power and inverter.
 
     With names, a system that is one generator of the source keeps its name.
     """
-    at_bus = kept.groupby(["bus", "kind"], sort=False)
-    grouped = at_bus[["p_max_kw", "s_kva"]].sum().reset_index()
-    words = zip(grouped["kind"], grouped["bus"], strict=True)
-    ids = [f"{kind.replace(' ', '_')}{bus}" for kind, bus in words]
-    if named and len(kept):
-        alone = at_bus["id"].agg(lambda of: name_in(of.iloc[0]) if len(of) == 1 else "")
-        ids = identifiers([str(name) for name in alone], ids)
-    return grouped.assign(id=_distinct(_names(ids)))
-
-
-def _own_sets(rows: pd.DataFrame, named: bool, taken: set[str]) -> NewSets:
-    """The source's generating sets, each for itself."""
-    ids = [f"{kind}{bus}" for kind, bus in zip(rows["kind"], rows["bus"], strict=True)]
+    grouped: pd.DataFrame = kept[["p_max_kw", "s_kva"]].sum().reset_index()
+    names = None
     if named:
-        ids = identifiers([name_in(str(name)) for name in rows["id"]], ids)
-    sizes = written(rows[["p_max_kw", "p_min_kw"]].to_numpy(float)).T
-    rows = rows.assign(p_max_kw=sizes[0], p_min_kw=sizes[1])
-    return NewSets.of(
-        rows, [str(name) for name in _apart(_distinct(_names(ids)), rows["kind"], taken)]
-    )
-
-
-def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
-    """Position of each generator's system, after those that were sized; -1 for none, (G,)."""
-    pairs = zip(grouped["bus"], grouped["kind"], strict=True)
-    position = {pair: before + i for i, pair in enumerate(pairs)}
-    return np.array(
-        [
-            position[bus, kind] if keep else -1
-            for bus, kind, keep in zip(table["bus"], table["kind"], kept, strict=True)
-        ],
-        dtype=int,
-    )
+        names = [name_in(of.iloc[0]) if len(of) == 1 else "" for _, of in kept["id"]]
+    kinds = grouped["kind"].map(lambda kind: kind.replace(" ", "_"))
+    return grouped.assign(id=_own_ids(kinds, grouped["bus"], names))
 
 
 def _systems(own: pd.DataFrame, customers: Customers, supplied: set[object]) -> PVSystems:
@@ -357,8 +330,8 @@ def _sized_pv(
     draw: np.random.Generator,
     named: bool,
 ) -> PVSystems:
-    """PV at some of the customers, sized by their peak load."""
-    kw_per_kw = options.pv_share_of_peak or PV_SHARE_OF_PEAK
+    """PV at some of the customers, sized by their peak load, if that is asked for."""
+    kw_per_kw = options.pv_share_of_peak or PV_SHARE_OF_PEAK if options.pv == "sized" else 0.0
     chosen = draw.permutation(len(customers))[: round(PV_SHARE_OF_BUSES * len(customers))]
     p_kw = np.zeros(len(customers))
     p_kw[chosen] = kw_per_kw * peak_kw[chosen]
@@ -375,18 +348,12 @@ def _sized_pv(
 def _own_batteries(feeder: ImportedFeeder) -> Batteries:
     """The source's batteries, each for itself."""
     own = feeder.storages
-    ids = _distinct(_ids("b", own.bus))
-    if feeder.named:
-        ids = _names(identifiers([name_in(str(name)) for name in own.id], [*ids]))
+    names = [name_in(str(name)) for name in own.id]
+    ids = _own_ids(["b"] * len(names), own.bus, names if feeder.named else None)
     if feeder.phased is not None:  # each has phases of its own
-        ids = _names([battery_of(name_in(str(name))) for name in own.id])
-    given = ("soc_min", "soc_max", "soc_initial", "eta_charge", "eta_discharge")
-    return _batteries(
-        id=ids,
-        bus=own.bus,
-        **{name: written(getattr(own, name)) for name in ("energy_kwh", "p_max_kw", "s_max_kva")},
-        **{name: written(getattr(own, name)) for name in given},
-    )
+        ids = np.array([battery_of(name) for name in names], dtype=object)
+    given = [f.name for f in fields(own) if f.name not in ("id", "bus", "p_kw", "q_kvar")]
+    return _batteries(id=ids, bus=own.bus, **{name: written(getattr(own, name)) for name in given})
 
 
 def _added_batteries(
@@ -438,7 +405,7 @@ def _joined(first: Any, second: Any) -> Any:
 
 
 def _told_generators(
-    feeder: ImportedFeeder, pv: PVSystems, options: NewScenarioOptions
+    table: pd.DataFrame, pv: PVSystems, options: NewScenarioOptions
 ) -> Iterator[str]:
     """Systems of the scenario, what was sized, and generators that the scenario does not have."""
     if len(pv) == 0:
@@ -454,18 +421,22 @@ def _told_generators(
             + (f"; without a customer, all exported or curtailed: {named(alone)}" if alone else "")
             + "."
         )
-    table = generator_table(feeder)
-    yield from _told_fuelled(table, taken(table, feeder.phased))
-    yield from _told_replaced(table, options)
+    yield from _told_fuelled(table)
+    out = table[table["counterpart"] & ~table["kept"]]
+    if len(out):
+        yield (
+            f"Generators of the source that --pv {options.pv} leaves out: {named(out['id'])}, "
+            f"{out['p_max_kw'].sum():.4g} kW."
+        )
     larger = table["counterpart"] & (table["p_max_kw"] > table["s_kva"] * (1 + 1e-9))
     if larger.any():
         yield f"Generators keep to their inverter's rating: {named(table['id'][larger])}."
 
 
-def _told_fuelled(table: pd.DataFrame, sets: pd.Series[bool]) -> Iterator[str]:
+def _told_fuelled(table: pd.DataFrame) -> Iterator[str]:
     """Generators without a counterpart: what they are, how large, and what is missing without."""
     fuelled = table[table["kind"].map(burns_fuel).astype(bool)]
-    left = fuelled[~sets[fuelled.index]]
+    left = fuelled[fuelled["genset"] == ""]
     if len(left):
         names = named(
             f"{name}, {kind}, {p_kw:.4g} kW"
@@ -484,18 +455,6 @@ def _told_fuelled(table: pd.DataFrame, sets: pd.Series[bool]) -> Iterator[str]:
     drawing = drawing.drop(fuelled.index, errors="ignore")
     if len(drawing):
         yield f"Generators that give no active power are left out: {named(drawing['id'])}."
-
-
-def _told_replaced(table: pd.DataFrame, options: NewScenarioOptions) -> Iterator[str]:
-    """Generators of the source that the options leave out."""
-    out = table[table["counterpart"] & (options.pv != "existing")]
-    if options.pv == "sized":
-        out = out[out["kind"] == PV]
-    if len(out):
-        yield (
-            f"Generators of the source that --pv {options.pv} leaves out: {named(out['id'])}, "
-            f"{out['p_max_kw'].sum():.4g} kW."
-        )
 
 
 def _told_batteries(own: Batteries, added: Batteries, forming: Flags) -> Iterator[str]:
@@ -537,15 +496,15 @@ def _ids(prefix: str, buses: Names) -> Names:
     return np.array([f"{prefix}{bus}" for bus in buses], dtype=object)
 
 
-def _names(values: Sequence[str]) -> Names:
-    return np.array([*values], dtype=object)
+def _own_ids(words: Iterable[str], buses: Iterable[Any], names: Sequence[str] | None) -> Names:
+    """Identifiers of the source's elements by their names, or after their bus.
 
-
-def _distinct(names: Names) -> Names:
-    """Names, the second of the same as ``name_2`` and so on."""
-    series = pd.Series(names, dtype=object)
-    number = series.groupby(series).cumcount() + 1
-    return np.where(number > 1, series + "_" + number.astype(str), series).astype(object)
+    The second that a bus has of a word is ``word3_2`` and so on.
+    """
+    ids = pd.Series([f"{word}{bus}" for word, bus in zip(words, buses, strict=True)], dtype=object)
+    number = ids.groupby(ids).cumcount() + 1
+    distinct = np.where(number > 1, ids + "_" + number.astype(str), ids).astype(object)
+    return distinct if names is None else np.array(identifiers(names, [*distinct]), dtype=object)
 
 
 def _apart(names: Iterable[Any], kinds: Iterable[str], taken: set[str]) -> Names:
@@ -555,6 +514,6 @@ def _apart(names: Iterable[Any], kinds: Iterable[str], taken: set[str]) -> Names
     PV system of one house may be called alike there.
     """
     both = zip(map(str, names), kinds, strict=True)
-    found = _names([f"{kind} of {name}" if name in taken else name for name, kind in both])
+    found = [f"{kind} of {name}" if name in taken else name for name, kind in both]
     taken.update(found)
-    return found
+    return np.array(found, dtype=object)

@@ -7,7 +7,7 @@ have, and a tank; all of it is stated, and may be edited.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,90 +32,76 @@ TANK_H = 8.0
 """Hours that a full tank lasts at full power."""
 
 
-def taken(table: pd.DataFrame, source: PhasedSource | None) -> pd.Series[bool]:
-    """Which generators of the source become sets: those with an engine and a power.
-
-    A source with phases has one connection of each.
-    """
-    sized = table["kind"].map(runs_on_a_tank).astype(bool) & (table["p_max_kw"] >= schema.MIN_KW)
-    if source is None:
-        return sized
-    return sized & table["id"].map(lambda label: generator_in(source, str(label)) is not None)
+ALIKE = {
+    **dict.fromkeys(("ramp_up_kw_per_h", "ramp_down_kw_per_h"), np.inf),
+    **dict.fromkeys(("min_on_h", "min_off_h", "on_before_h", "start_cost_gbp"), 0.0),
+    "fuel_price_gbp_per_litre": FUEL_GBP_PER_LITRE,
+    "litres_per_kwh": LITRES_PER_KWH,
+    "only_in_outage": True,
+}
+"""Columns that are the same of all sets."""
 
 
 def sets_of(table: pd.DataFrame, source: PhasedSource | None) -> pd.DataFrame:
-    """Rows of the generators that become sets; one that lacks a phase forms no island."""
-    rows = table[taken(table, source)]
+    """Rows of the generators that become sets: those with an engine and a power.
+
+    A source with phases has one connection of each; a set that lacks a phase forms no island.
+    """
+    sized = table["kind"].map(runs_on_a_tank).astype(bool) & (table["p_max_kw"] >= schema.MIN_KW)
+    rows = table[sized]
     if source is None:
         return rows
     found = [generator_in(source, str(label)) for label in rows["id"]]
     whole = np.array([row is not None and row.three_coils for row in found], dtype=bool)
-    return rows.assign(grid_forming=rows["grid_forming"].where(whole, other=False))
+    rows = rows.assign(grid_forming=rows["grid_forming"].where(whole, other=False))
+    return rows[np.array([row is not None for row in found], dtype=bool)]
 
 
-@dataclass(frozen=True, eq=False)
-class NewSets:
-    """Sets of a new scenario, and those whose least power is assumed, (G,)."""
+def gensets_of(rows: pd.DataFrame, ids: list[str]) -> Gensets:
+    """Sets of some generators, with these identifiers."""
+    p_max_kw, given_kw = (rows[name].to_numpy(float) for name in ("p_max_kw", "p_min_kw"))
+    least_kw = np.where(_unsaid(rows), LEAST_SHARE * p_max_kw, given_kw)
+    idle = LITRES_PER_H_PER_KW * p_max_kw
+    tank_litres = np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1)
+    said = zip(rows["grid_forming"], rows["kind"] == GENSET, strict=True)
+    alike: dict[str, Any] = {name: np.full(len(rows), value) for name, value in ALIKE.items()}
+    return Gensets(
+        id=np.array(ids, dtype=object),
+        bus=rows["bus"].to_numpy(dtype=object),
+        p_max_kw=p_max_kw,
+        p_min_kw=np.minimum(least_kw, p_max_kw),
+        litres_per_h_idle=np.round(idle, 3),
+        tank_litres=tank_litres,
+        fuel_level_litres=tank_litres,
+        grid_forming=np.array([own if own is not None else is_set for own, is_set in said]),
+        **alike,
+    )
 
-    sets: Gensets
-    assumed: Flags
 
-    @classmethod
-    def of(cls, rows: pd.DataFrame, ids: list[str]) -> NewSets:
-        """The sets of these generators, with these identifiers."""
-        p_max_kw = rows["p_max_kw"].to_numpy(float)
-        given_kw = rows["p_min_kw"].to_numpy(float)
-        assumed = ~(given_kw > 0.0)
-        least_kw = np.where(assumed, LEAST_SHARE * p_max_kw, given_kw)
-        idle = LITRES_PER_H_PER_KW * p_max_kw
-        count = len(rows)
-        said = zip(rows["grid_forming"], rows["kind"] == GENSET, strict=True)
-        return cls(
-            Gensets(
-                id=np.array(ids, dtype=object),
-                bus=rows["bus"].to_numpy(dtype=object),
-                p_max_kw=p_max_kw,
-                p_min_kw=np.minimum(least_kw, p_max_kw),
-                ramp_up_kw_per_h=np.full(count, np.inf),
-                ramp_down_kw_per_h=np.full(count, np.inf),
-                min_on_h=np.zeros(count),
-                min_off_h=np.zeros(count),
-                on_before_h=np.zeros(count),
-                start_cost_gbp=np.zeros(count),
-                fuel_price_gbp_per_litre=np.full(count, FUEL_GBP_PER_LITRE),
-                litres_per_kwh=np.full(count, LITRES_PER_KWH),
-                litres_per_h_idle=np.round(idle, 3),
-                tank_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
-                fuel_level_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
-                only_in_outage=np.ones(count, dtype=bool),
-                grid_forming=np.array([own if own is not None else is_set for own, is_set in said]),
-            ),
-            assumed,
-        )
+def _unsaid(rows: pd.DataFrame) -> Flags:
+    """Generators of which the source gives no least power."""
+    return ~(rows["p_min_kw"].to_numpy(float) > 0.0)
 
-    def told(self) -> Iterator[str]:
-        """Sentences on the sets and on the assumptions about them."""
-        sets = self.sets
-        if not len(sets):
-            return
-        pairs = zip(sets.id, sets.p_max_kw, strict=True)
-        sizes = named(f"{name}, {p_kw:.4g} kW" for name, p_kw in pairs)
-        yield f"Generating sets of the source: {sizes}. They run in outages only."
-        forming, following = sets.id[sets.grid_forming], sets.id[~sets.grid_forming]
-        if len(forming):
-            yield (
-                f"Generating sets that form the grid of an island that no battery forms: "
-                f"{named(forming)}. Write no in grid_forming of gensets.csv for a set that cannot."
-            )
-        if len(following):
-            yield f"Generating sets that only follow what forms the grid: {named(following)}."
-        least = (
-            f" a least power of {LEAST_SHARE:.0%} ({named(sets.id[self.assumed])}),"
-            if self.assumed.any()
-            else ""
-        )
+
+def told_sets(sets: Gensets, rows: pd.DataFrame) -> Iterator[str]:
+    """Sentences on the sets that are made of some generators, and on what is assumed of them."""
+    if not len(sets):
+        return
+    pairs = zip(sets.id, sets.p_max_kw, strict=True)
+    sizes = named(f"{name}, {p_kw:.4g} kW" for name, p_kw in pairs)
+    yield f"Generating sets of the source: {sizes}. They run in outages only."
+    forming, following = sets.id[sets.grid_forming], sets.id[~sets.grid_forming]
+    if len(forming):
         yield (
-            f"Assumed for generating sets:{least} {LITRES_PER_KWH:g} l/kWh and "
-            f"{LITRES_PER_H_PER_KW:g} l/h for each kW of their size, {FUEL_GBP_PER_LITRE:g} GBP/l, "
-            f"and a full tank for {TANK_H:g} h at full power. Correct gensets.csv."
+            f"Generating sets that form the grid of an island that no battery forms: "
+            f"{named(forming)}. Write no in grid_forming of gensets.csv for a set that cannot."
         )
+    if len(following):
+        yield f"Generating sets that only follow what forms the grid: {named(following)}."
+    assumed = sets.id[_unsaid(rows)]
+    least = f" a least power of {LEAST_SHARE:.0%} ({named(assumed)})," if len(assumed) else ""
+    yield (
+        f"Assumed for generating sets:{least} {LITRES_PER_KWH:g} l/kWh and "
+        f"{LITRES_PER_H_PER_KW:g} l/h for each kW of their size, {FUEL_GBP_PER_LITRE:g} GBP/l, "
+        f"and a full tank for {TANK_H:g} h at full power. Correct gensets.csv."
+    )

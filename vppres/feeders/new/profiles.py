@@ -14,22 +14,25 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import iso, named
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.new.assets import NewAssets, generator_table
-from vppres.feeders.new.gensets import taken
+from vppres.feeders.new.assets import NewAssets
 from vppres.feeders.series.clocks import in_utc
 from vppres.feeders.series.files import UNITS_CURE, other_unit, units_missing
-from vppres.feeders.series.resample import OnGrid, on_grid
+from vppres.feeders.series.resample import on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
 from vppres.io.times import usual_step
-from vppres.scenario.network import BusId
+from vppres.scenario.assets import PVSystems
 from vppres.scenario.timegrid import TimeGrid
 
+OF_FEEDER = "system series"
 OF_SYSTEM = ("price_gbp_per_kwh", "temperature_c")
 """Series of the feeder as a whole, by the names of ``system.csv``; they have no unit."""
 
 _KW = {"kw": 1.0, "mw": 1000.0}
 _KWH = {"wh": 0.001, "kwh": 1.0, "mwh": 1000.0}
+
+LEAST_KW = 1e-6
+"""Power that counts as none."""
 
 _REGISTER_VALUES = 48
 """Values from which energy that never falls is a meter's register, and no energy of intervals."""
@@ -125,66 +128,44 @@ def place_profiles(
     of at most ``most_gap_min`` are filled.
     """
     sorter = _Sorter(feeder, assets)
-    problems: list[Problem] = []
-    without_unit: list[Profile] = []
-    placed: dict[tuple[str, int], Floats] = {}
-    gaps: list[str] = []
-    as_energy: list[Profile] = []
-    system: dict[str, Floats] = {}
-    unused: dict[str, list[str]] = {}
+    placed = _Placed(grid, most_gap_min)
+    problems = placed.problems
     for profile in profiles:
-        target, found = sorter.target(profile)
-        problems += found
-        if target is None:
-            continue
-        if not profile.unit and target.kind != "system series":
-            without_unit.append(profile)
-            continue
-        if target.kind in _UNUSED:
-            unused.setdefault(target.kind, []).append(profile.name)
-            continue
-        values = on_grid(profile.values, grid, most_gap_min, profile.where, profile.name)
-        if isinstance(values, Problem):
-            problems.append(values)
-            continue
-        gaps += _told_gap(profile, values)
-        as_energy += [profile] if profile.unit in _KWH and target.kind != "system series" else []
-        key = (target.kind, target.at)
-        if target.kind == "system series":
-            system[profile.name] = values.values
-        elif key in placed:
-            problems.append(
-                _problem(profile, "has a series already", "Keep one series for each element.")
-            )
-        elif profile.unit in _KWH and _is_register(profile):
-            cure = "It is a meter's register: give the energy of each interval."
-            problems.append(_problem(profile, "is energy that never falls", cure))
+        target = sorter.target(profile)
+        if isinstance(target, Problem):
+            problems.append(target)
         else:
-            placed[key] = profile.factor * _scale(profile, target) * values.values
-    problems += units_missing(without_unit)
-    load_kw, load_notes = _loads(placed, feeder, assets, shapes[0])
-    pv_kw, pv_notes = _systems(placed, feeder, assets, shapes[1])
+            placed.add(profile, target)
+    problems += units_missing(placed.without_unit)
+    customers, pv, peak_kw, table = assets.customers, assets.pv, assets.peak_kw, assets.generators
+    loads = [np.flatnonzero(feeder.loads.bus == bus).tolist() for bus in customers.bus]
+    load_kw, invented = _by_owner(
+        placed.kw, ("customer", "load"), loads, feeder.loads.p_kw, peak_kw,
+        np.outer(shapes[0], peak_kw), peak_kw,
+    )  # fmt: skip
+    made_of = [np.flatnonzero(table["system"] == i).tolist() for i in range(len(pv))]
+    most_kw = table["p_max_kw"].to_numpy(float)
+    pv_kw, without = _by_owner(
+        placed.kw, ("system", "generator"), made_of, most_kw,
+        np.array([most_kw[own].sum() for own in made_of]), shapes[1], pv.p_max_kw,
+    )  # fmt: skip
     files = named(dict.fromkeys(profile.where for profile in profiles))
     generation = "Demand counts from 0: give generation as a system of its own."
-    problems += _negative(load_kw, assets.customers.id, "customer", generation, files, grid)
+    problems += _negative(load_kw, customers.id, "customer", generation, files, grid)
     standby = "Generation counts from 0: write 0 where the system draws power."
-    problems += _negative(pv_kw, assets.pv.id, "system", standby, files, grid)
-    problems += _too_large(pv_kw, assets, files, grid)
+    problems += _negative(pv_kw, pv.id, "system", standby, files, grid)
+    problems += _too_large(pv_kw, pv, files, grid)
     if problems:
         raise InputError(folded(_together(problems)))
+    rule = " (wind: no power; kinds other than PV: the largest)"
     notes = [
-        _told_origin(profiles),
-        *_told_energy(as_energy),
-        *(f"{_UNUSED[kind]}: {named(names)}." for kind, names in unused.items()),
-        *load_notes,
-        *pv_notes,
+        f"{len(profiles)} series from {files}; reactive power follows power factors.",
+        *placed.notes(),
+        *_invented(customers.id, invented, "Load"),
+        *_invented(pv.id, without, "Available power", rule),
+        *placed.told_gaps(),
     ]
-    if gaps:
-        notes.append(
-            "Missing values of the series lie on a straight line between their neighbours: "
-            f"{named(gaps)}."
-        )
-    return Series(load_kw, np.minimum(pv_kw, assets.pv.p_max_kw), system, tuple(notes))
+    return Series(load_kw, np.minimum(pv_kw, pv.p_max_kw), placed.system, tuple(notes))
 
 
 _UNUSED = {
@@ -194,13 +175,79 @@ _UNUSED = {
 }
 
 
+@dataclass
+class _Placed:
+    """Series on the grid by kind and position of their targets, and what there is to tell."""
+
+    grid: TimeGrid
+    most_gap_min: float
+    kw: dict[tuple[str, int], Floats] = field(default_factory=dict)
+    system: dict[str, Floats] = field(default_factory=dict)  #: series of the feeder as a whole
+    problems: list[Problem] = field(default_factory=list)
+    without_unit: list[Profile] = field(default_factory=list)
+    as_energy: list[Profile] = field(default_factory=list)
+    gaps: list[str] = field(default_factory=list)
+    unused: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(self, profile: Profile, target: _Target) -> None:
+        """Place a series, or note why it has no place."""
+        of_feeder = target.kind == OF_FEEDER
+        if not (profile.unit or of_feeder):
+            self.without_unit.append(profile)
+            return
+        if target.kind in _UNUSED:
+            self.unused.setdefault(target.kind, []).append(profile.name)
+            return
+        found = on_grid(profile.values, self.grid, self.most_gap_min, profile.where, profile.name)
+        if isinstance(found, Problem):
+            self.problems.append(found)
+            return
+        if found.filled:
+            size = f"{found.filled} values, up to {found.longest_gap_min:g} min"
+            self.gaps.append(f"{profile.name} ({size})")
+        if of_feeder:
+            self.system[profile.name] = found.values
+            return
+        key = (target.kind, target.at)
+        if profile.unit in _KWH:
+            self.as_energy.append(profile)
+        if key in self.kw:
+            fault = "has a series already", "Keep one series for each element."
+            self.problems.append(_problem(profile, *fault))
+        elif profile.unit in _KWH and _is_register(profile):
+            cure = "It is a meter's register: give the energy of each interval."
+            self.problems.append(_problem(profile, "is energy that never falls", cure))
+        else:
+            self.kw[key] = profile.factor * _scale(profile, target) * found.values
+
+    def notes(self) -> Iterator[str]:
+        """Sentences on energy that became power, and on series without an effect."""
+        names: dict[float, list[str]] = {}
+        for profile in self.as_energy:
+            names.setdefault(_interval_h(profile), []).append(profile.name)
+        for hours, of_them in names.items():
+            yield (
+                f"Energy from each time to the next, {60.0 * hours:g} min later, became mean "
+                f"power: {named(of_them)}."
+            )
+        yield from (f"{_UNUSED[kind]}: {named(unused)}." for kind, unused in self.unused.items())
+
+    def told_gaps(self) -> Iterator[str]:
+        """Sentence on gaps that were filled."""
+        if self.gaps:
+            yield (
+                "Missing values of the series lie on a straight line between their neighbours: "
+                f"{named(self.gaps)}."
+            )
+
+
 class _Sorter:
     """Knows what every name stands for."""
 
     def __init__(self, feeder: ImportedFeeder, assets: NewAssets) -> None:
         self.known: dict[str, list[_Target]] = {}
         for name in OF_SYSTEM:
-            self._add(name, _Target("system series", 0, 1.0))
+            self._add(name, _Target(OF_FEEDER, 0, 1.0))
         for i, name in enumerate(assets.customers.id):
             self._add(str(name), _Target("customer", i, float(assets.peak_kw[i])))
         for i, name in enumerate(assets.pv.id):
@@ -215,15 +262,14 @@ class _Sorter:
             if assets.of_load[i] >= 0:
                 target = _Target("customer", int(assets.of_load[i]), target.rating_kw)
             self._add_element(str(name), target)
-        table = generator_table(feeder)
-        sets = taken(table, feeder.phased)
-        parts = Counter(assets.of_generator)
-        for i, (name, p_max_kw) in enumerate(zip(table["id"], table["p_max_kw"], strict=True)):
-            position = int(assets.of_generator[i])
-            kind = "generator" if position >= 0 else "set" if sets[i] else "left out"
+        table = assets.generators
+        parts = Counter(table["system"])
+        columns = (table[name] for name in ("id", "p_max_kw", "system", "genset"))
+        for i, (name, p_max_kw, position, genset) in enumerate(zip(*columns, strict=True)):
+            kind = "generator" if position >= 0 else "set" if genset else "left out"
             target = _Target(kind, 0 if kind == "set" else i, float(p_max_kw))
             if parts[position] == 1 and position >= 0:
-                target = _Target("system", position, float(p_max_kw))
+                target = _Target("system", int(position), float(p_max_kw))
             self._add_element(str(name), target)
         for name in feeder.storages.id:
             self._add_element(str(name), _Target("battery", 0, 1.0))
@@ -245,11 +291,11 @@ class _Sorter:
         if all((each.kind, each.at) != (target.kind, target.at) for each in targets):
             targets.append(target)
 
-    def target(self, profile: Profile) -> tuple[_Target | None, list[Problem]]:
-        """Target of a series."""
+    def target(self, profile: Profile) -> _Target | Problem:
+        """Target of a series, or why it has none."""
         found = self.known.get(profile.name, [])
         if len(found) == 1:
-            return found[0], []
+            return found[0]
         if found:
             message = f"is the name of {len(found)} elements of the network"
             cure = "Use the label, such as 'load 3'."
@@ -259,7 +305,7 @@ class _Sorter:
         if not found and (unit := other_unit(profile.name)):
             message = f"is in {unit}, and series are power in kW, MW or pu, or energy in kWh"
             cure = f"Convert it. {UNITS_CURE}."
-        return None, [_problem(profile, message, cure)]
+        return _problem(profile, message, cure)
 
 
 def _scale(profile: Profile, target: _Target) -> float:
@@ -288,89 +334,42 @@ def _problem(profile: Profile, message: str, cure: str) -> Problem:
     return Problem(profile.where, message, cure, field=field, value=value)
 
 
-def _loads(
+def _by_owner(
     placed: dict[tuple[str, int], Floats],
-    feeder: ImportedFeeder,
-    assets: NewAssets,
-    shape: Floats,
-) -> tuple[Floats, list[str]]:
-    """Demand of the customers, (T, C): their own series, or the sum of their loads'."""
-    loads = feeder.loads
-    at_bus: dict[BusId, list[int]] = {}
-    for e, bus in enumerate(loads.bus):
-        at_bus.setdefault(bus, []).append(e)
-    load_kw = np.outer(shape, assets.peak_kw)
-    without: list[str] = []
-    for i, (name, bus) in enumerate(zip(assets.customers.id, assets.customers.bus, strict=True)):
-        if ("customer", i) in placed:
-            load_kw[:, i] = placed["customer", i]
+    kinds: tuple[str, str],
+    parts: list[list[int]],
+    part_kw: Floats,
+    whole_kw: Floats,
+    profile_kw: Floats,
+    size_kw: Floats,
+) -> tuple[Floats, list[int]]:
+    """Power of customers or systems, (T, P), and those of them that follow their profile.
+
+    Each has its own series, or the sum of those of its parts in the source, and of its profile,
+    which is for its size, what no series is for.
+    """
+    owner, part = kinds
+    found_kw, following = profile_kw.copy(), []
+    for i, own in enumerate(parts):
+        if (owner, i) in placed:
+            found_kw[:, i] = placed[owner, i]
             continue
-        given = [e for e in at_bus.get(bus, []) if ("load", e) in placed]
-        rest_kw = assets.peak_kw[i] - loads.p_kw[given].sum()
-        if not given or abs(rest_kw) > 1e-6:
-            without.append(str(name))
+        given = [each for each in own if (part, each) in placed]
+        rest_kw = whole_kw[i] - part_kw[given].sum()
+        rest_kw = rest_kw if abs(rest_kw) > LEAST_KW else 0.0
+        if not given or rest_kw:
+            following.append(i)
         if given:
-            own = np.sum([placed["load", e] for e in given], axis=0)
-            load_kw[:, i] = own + shape * (rest_kw if abs(rest_kw) > 1e-6 else 0.0)
-    return load_kw, [_invented(without, len(assets.customers), "Load")] if without else []
+            series_kw = np.sum([placed[part, each] for each in given], axis=0)
+            found_kw[:, i] = series_kw + profile_kw[:, i] * rest_kw / size_kw[i]
+    return found_kw, following
 
 
-def _systems(
-    placed: dict[tuple[str, int], Floats],
-    feeder: ImportedFeeder,
-    assets: NewAssets,
-    shape_kw: Floats,
-) -> tuple[Floats, list[str]]:
-    """Available power of the systems, (T, P): their own series, or the sum of their elements'."""
-    most_kw = generator_table(feeder)["p_max_kw"].to_numpy(float)
-    pv_kw = shape_kw.copy()
-    parts: dict[int, list[int]] = {}
-    for e, position in enumerate(assets.of_generator):
-        if position >= 0:
-            parts.setdefault(int(position), []).append(e)
-    without: list[str] = []
-    for i, name in enumerate(assets.pv.id):
-        if ("system", i) in placed:
-            pv_kw[:, i] = placed["system", i]
-            continue
-        mine = parts.get(i, [])
-        given = [e for e in mine if ("generator", e) in placed]
-        rest_kw = most_kw[mine].sum() - most_kw[given].sum()
-        if not given or rest_kw > 1e-6:
-            without.append(str(name))
-        if given:
-            own = np.sum([placed["generator", e] for e in given], axis=0)
-            pv_kw[:, i] = own + shape_kw[:, i] * rest_kw / assets.pv.p_max_kw[i]
-    return pv_kw, [_invented(without, len(assets.pv), "Available power")] if without else []
-
-
-def _invented(names: list[str], count: int, what: str) -> str:
+def _invented(names: Names, following: list[int], what: str, rule: str = "") -> Iterator[str]:
     """Sentence on profiles instead of series that were not given."""
-    of = "all of them" if len(names) == count else named(names)
-    rule = " (wind: no power; kinds other than PV: the largest)" if what != "Load" else ""
-    return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
-
-
-def _told_origin(profiles: list[Profile]) -> str:
-    files = list(dict.fromkeys(profile.where for profile in profiles))
-    return f"{len(profiles)} series from {named(files)}; reactive power follows power factors."
-
-
-def _told_energy(profiles: list[Profile]) -> Iterator[str]:
-    """How energy became power, by the length of the intervals."""
-    names: dict[float, list[str]] = {}
-    for profile in profiles:
-        names.setdefault(_interval_h(profile), []).append(profile.name)
-    for hours, of_them in names.items():
-        yield (
-            f"Energy from each time to the next, {60.0 * hours:g} min later, became mean power: "
-            f"{named(of_them)}."
-        )
-
-
-def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:
-    if found.filled:
-        yield f"{profile.name} ({found.filled} values, up to {found.longest_gap_min:g} min)"
+    if following:
+        of = "all of them" if len(following) == len(names) else named(names[following])
+        yield f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
 
 
 def _negative(
@@ -390,9 +389,8 @@ def _negative(
     ]
 
 
-def _too_large(pv_kw: Floats, assets: NewAssets, files: str, grid: TimeGrid) -> list[Problem]:
+def _too_large(pv_kw: Floats, pv: PVSystems, files: str, grid: TimeGrid) -> list[Problem]:
     """Systems whose series exceeds their largest power."""
-    pv = assets.pv
     most = pv_kw.max(axis=0, initial=0.0)
     return [
         Problem(

@@ -16,7 +16,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.tables import packaged_table
-from vppres.core.text import named
+from vppres.core.text import counted, named
 from vppres.feeders.closeness import (
     NOT_CONVERGED,
     check_deviation,
@@ -124,7 +124,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
-        title=f"{title}: {_length(options)}",
+        title=f"{title}: {counted(options.days, 'day')}",
         grid=grid,
         network=network,
         customers=assets.customers,
@@ -385,7 +385,3 @@ def _name(source: str) -> str:
     """A name that a scenario may have."""
     stem = source.rpartition(".")[0] or source
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", stem).strip("-._") or "feeder"
-
-
-def _length(options: NewScenarioOptions) -> str:
-    return "1 day" if options.days == 1 else f"{options.days} days"

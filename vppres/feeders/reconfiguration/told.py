@@ -75,10 +75,8 @@ class Telling:
             )
 
     def _without(self, buses: list[int]) -> str:
-        return f"{self._supplied(buses)} {'is' if self._single(buses) else 'are'} without supply"
-
-    def _single(self, buses: list[int]) -> bool:
-        return len(self._customers(buses) or buses) == 1
+        verb = "is" if len(self._customers(buses) or buses) == 1 else "are"
+        return f"{self._supplied(buses)} {verb} without supply"
 
     def _customers(self, buses: Sequence[int]) -> list[str]:
         return [
@@ -111,12 +109,9 @@ class Telling:
         new = np.flatnonzero(after.live & ~before.live).tolist()
         if not new:
             return "it joins two parts without supply"
-        more = "" if self.states.feeder.cold_kw is None else self._cold_words(new)
+        cold_kw = self.states.feeder.cold_kw
+        more = "" if cold_kw is None else f", with {cold_kw[new].sum():.1f} kW of cold load"
         return f"it supplies {self._supplied(new)}{more}"
-
-    def _cold_words(self, buses: list[int]) -> str:
-        assert self.states.feeder.cold_kw is not None
-        return f", with {self.states.feeder.cold_kw[buses].sum():.1f} kW of cold load"
 
     def _opening(self, before: Topology, after: Topology, a: int, b: int) -> str:
         if not before.live[a] and not before.live[b]:

@@ -110,7 +110,8 @@ def _wide(
     """A column for each asset; a single column of values is that of the file's asset."""
     times, problems = _times(table, clock, slice(None), reading)
     stem, file_unit = _named(Path(table.file).stem)
-    single = len(columns) == 1 and _is_value(columns[0])
+    of_values = bool(_plain(columns[0])) or _named(columns[0])[0].lower() in VALUES
+    single = len(columns) == 1 and of_values  # not named after an asset
     profiles = []
     for column in columns:
         name, unit = _named(column)
@@ -199,11 +200,6 @@ def other_unit(name: str) -> str:
 def _plain(text: str) -> str:
     """A unit that is all of a name."""
     return text.strip().lower().replace(".", "") if _PLAIN.fullmatch(text.strip()) else ""
-
-
-def _is_value(column: str) -> bool:
-    """Whether a column is named after what it holds and not after an asset."""
-    return bool(_plain(column)) or _named(column)[0].lower() in VALUES
 
 
 def units_missing(profiles: list[Profile]) -> Iterator[Problem]:
