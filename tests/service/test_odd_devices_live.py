@@ -125,6 +125,37 @@ def test_a_van_that_left_is_away_until_it_is_plugged_in_again(
             assert ("vehicle van left k0 before its departure" in plan["estimated"]) != is_there
 
 
+@pytest.mark.parametrize(("quantity", "at_first", "slow", "far", "kwh"), [
+    ("ev_soc", 0.4, 0.41, 0.8, 48.0),
+    ("energy_needed_kwh", 20.0, 19.5, 6.0, 6.0),
+])  # fmt: skip
+def test_a_vehicle_far_from_the_plan_is_planned_for_at_once(
+    tiny: Scenario, tmp_path: Path, quantity: str, at_first: float, slow: float, far: float,
+    kwh: float,
+) -> None:  # fmt: skip
+    """Its gauge was set right, or its driver needs less; one that charges slowly is no news."""
+    charger, vehicle = van(NOON.floor("1D"), NOON.ceil("1D"))
+    day, clock = replace(site(tiny), chargers=charger, sessions=vehicle), SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+
+        def told(minutes: float, value: float) -> tuple[str, ...]:
+            clock.set(NOON + pd.Timedelta(minutes=minutes))
+            series = readings(clock.now(), quantity, {"k0": value})
+            assert http.post("/v1/telemetry", {"series": series}).status == 200
+            return runner.changes.reasons
+
+        told(0.0, at_first)
+        decided(http, clock, NOON)
+        assert told(10.0, slow) == ()
+        assert told(20.0, far) == (f"{quantity} of k0 is {far:g} (scada)",)
+        plan = runner.anew()
+        assert plan is not None
+        found = plan["expected"]["vehicles"]["k0"]
+        field = "energy_kwh" if quantity == "ev_soc" else "needed_kwh"
+        assert found[field] == pytest.approx(kwh)
+        assert told(21.0, far) == ()
+
+
 def test_a_vehicle_that_only_its_charger_told_of_is_explained(
     tiny: Scenario, tmp_path: Path
 ) -> None:

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.support.homes import homes, hot
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
 from tests.support.page_words import NODE, said_by
 from tests.support.small_windows import DARK, OPEN
 from tests.support.vans import van
@@ -229,6 +229,28 @@ def test_a_service_tells_thermostats_temperatures(tiny: Scenario, tmp_path: Path
             said(held, "thermal_loads")["h0"]["setpoint_c"]
             == (said(plan, "thermal_loads")["h0"]["setpoint_c"])
         )
+
+
+def test_a_room_far_from_the_plan_is_planned_for_at_once(tiny: Scenario, tmp_path: Path) -> None:
+    """A window was opened; a thermometer that stands still, or is a little off, is no news."""
+    clock = SetClock(NOON)
+    with serving(Service(cooled(site(tiny)), HERE), tmp_path, clock) as (http, runner):
+
+        def felt(minutes: float, t_c: float) -> tuple[str, ...]:
+            clock.set(NOON + pd.Timedelta(minutes=minutes))
+            series = readings(clock.now(), "indoor_c", {"h0": t_c, "h1": 55.0})
+            assert http.post("/v1/telemetry", {"series": series}).status == 200
+            return runner.changes.reasons
+
+        felt(0.0, 24.0)
+        before = decided(http, clock, NOON)["expected"]
+        assert abs(before["indoor_end_c"]["h0"] - 24.0) < 0.4
+        assert felt(10.0, 24.0) == felt(11.0, 24.7) == ()
+        assert felt(20.0, 27.5) == ("indoor_c of h0 is 27.5 (scada)",)
+        plan = runner.anew()
+        assert plan is not None and plan["expected"]["indoor_c"]["h0"] == 27.5
+        assert said(plan, "thermal_loads")["h0"]["setpoint_c"] == pytest.approx(26.0)
+        assert felt(21.0, 27.4) == ()
 
 
 def equipped(tiny: Scenario) -> Scenario:
