@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.trajectory import SWITCHES_OPEN
@@ -18,6 +19,12 @@ Plans = Sequence[Plan]  # by step, empty for a step without
 def expected_by(plan: Plan) -> Mapping[str, Any]:
     """Values that a plan expects of its step; empty for a plan that the controller did not make."""
     return plan.get("expected") or {}
+
+
+def left_of(plan: Plan, step: pd.Timedelta) -> pd.Timedelta:
+    """Length of the part of its step for which a plan holds."""
+    begin = pd.Timestamp(plan["start"])
+    return begin + step - pd.Timestamp(plan.get("valid_from", begin))
 
 
 def closed_by(plan: Plan, branches: Branches) -> Flags:

@@ -10,10 +10,11 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling import ThermalLoads
+from vppres.kinds.cooling.live import RANGES, STILL_C
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, said_of
-from vppres.service.of_kind import OfKind, Stored, Wrong
+from vppres.service.as_told import Plan, expected_by, said_of
+from vppres.service.of_kind import OfKind, Reckoned, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
 
 
@@ -44,6 +45,16 @@ class Thermostats(OfKind):
     def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: Floats) -> Floats:
         """Temperatures that a step was decided on."""
         return said_of(plan, "indoor_c", scenario.thermal_loads.id, reckoned)
+
+    def reckoned(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str, Reckoned]]:
+        """Temperatures. When within its step a thermostat lets its machine run is not known."""
+        told, every = expected_by(plan), RANGES["indoor_c"]
+        for name, start_c in told.get("indoor_c", {}).items():
+            end_c = told["indoor_end_c"].get(name)
+            if start_c is not None and end_c is not None:
+                slack_c = STILL_C + abs(end_c - start_c)
+                limits_c = every.lowest, every.highest
+                yield name, "indoor_c", Reckoned(start_c, end_c, *limits_c, slack_c)
 
     def measured(
         self, scenario: Scenario, units: Climate, t: int

@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
+from vppres.control.guard.reckoning import SOC_JUMP
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.vehicles import NO_CAR, OF_SESSIONS, Chargers, Sessions
 from vppres.kinds.vehicles.live import HELD, QUANTITIES, rows_of, sessions_of
-from vppres.kinds.vehicles.physics import Garage
+from vppres.kinds.vehicles.physics import Garage, stored_by
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, Plans, expected_by, said_of
-from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
+from vppres.service.as_told import Plan, Plans, expected_by, left_of, said_of
+from vppres.service.of_kind import OfKind, Reckoned, Stored, Wrong, beyond_rating, moved
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import Reading, moment, seconds
 
@@ -97,6 +98,35 @@ class ChargingPoints(OfKind):
     def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: Floats) -> Floats:
         """Energy of the vehicles that a step was decided on."""
         return said_of(plan, "vehicles", scenario.chargers.id, reckoned, "energy_kwh")
+
+    def reckoned(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str, Reckoned]]:
+        """Charge of vehicles as they tell it: a share of their capacity, or what they need.
+
+        Many take less than they are offered: what a charger gives in half a step is no news.
+        """
+        told, points = expected_by(plan).get("vehicles", {}), plan.get("setpoints", ())
+        told_kw = {one["asset"]: one["p_kw"] for one in points if one["kind"] == self.kind}
+        chargers = scenario.chargers
+        power_kw = np.array([told_kw.get(str(name), 0.0) for name in chargers.id], dtype=float)
+        left_h = left_of(plan, scenario.grid.step) / HOUR
+        gains_kwh = stored_by(chargers, power_kw) * left_h
+        known = {(row["charger"], row["vehicle"]): row for row in rows_of(scenario.sessions)}
+        slacks_kwh = chargers.p_charge_kw * scenario.grid.dt_h / 2.0
+        for name, gain_kwh, slack_kwh in zip(chargers.id, gains_kwh, slacks_kwh, strict=True):
+            if not (one := told.get(str(name))):
+                continue
+            begin_kwh, needed_kwh = one["energy_kwh"], one["needed_kwh"]
+            row = known.get((str(name), one["vehicle"]))
+            if row and _by_charge(row, one):
+                full_kwh = row["capacity_kwh"]
+                shares = begin_kwh / full_kwh, (begin_kwh + gain_kwh) / full_kwh
+                slack = max(SOC_JUMP, slack_kwh / full_kwh)
+                yield str(name), "ev_soc", Reckoned(*shares, 0.0, 1.0, slack)
+            else:
+                begin_kwh = needed_kwh - begin_kwh
+                needs_kwh = begin_kwh, max(begin_kwh - gain_kwh, 0.0)
+                slack = max(SOC_JUMP * needed_kwh, slack_kwh)
+                yield str(name), "energy_needed_kwh", Reckoned(*needs_kwh, 0.0, math.inf, slack)
 
     def measured(
         self, scenario: Scenario, units: Garage, t: int
@@ -187,9 +217,14 @@ def _session(
         "plug_in": time,
         "plug_out": pd.Timestamp(told["leaves"]),
     }
-    if np.isclose(row["soc_needed"] * row["capacity_kwh"], told["needed_kwh"]):
+    if _by_charge(row, told):
         return {**row, "soc_at_plug_in": told["energy_kwh"] / row["capacity_kwh"]}
     return {**row, **dict.fromkeys(OF_SESSIONS, np.nan), "energy_needed_kwh": told["needed_kwh"]}
+
+
+def _by_charge(row: Mapping[str, Any], told: Mapping[str, Any]) -> bool:
+    """Whether a plan knows a vehicle by its charge and capacity, not by the energy it needs."""
+    return bool(np.isclose(row["soc_needed"] * row["capacity_kwh"], told["needed_kwh"]))
 
 
 SERVICE = ChargingPoints()

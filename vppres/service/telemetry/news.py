@@ -84,10 +84,7 @@ class News:
         quantities = (*STATES, *OF_VISITS)
         if all(quantity not in quantities for _, quantity in told):
             return
-        latest = self.store.latest(until, quantities)
-        for of in every().values():
-            latest = of.of_those_here(latest)
-        before = {(one.asset, one.quantity): one for one in latest}
+        before = self._of_those_here(until, quantities)
         of_kinds = {KIND_OF[name].kind for _, name in told if name in KIND_OF}
         rejected = {kind: self.store.refusing(kind) for kind in of_kinds}
         for (asset, quantity), one in told.items():
@@ -119,16 +116,16 @@ class News:
 
         A gauge that stands still is no news, unless the plan waits for it to bear out a jump.
         """
-        stores = dict(self._reckoned(told, plan))
+        stores = dict(self._reckoned(told, plan)) if expected_by(plan) else {}
         if not stores:
             return
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + self.scenario.grid.step
-        latest = self.store.latest(until, {quantity for _, quantity in stores})
-        before = {(one.asset, one.quantity): one for one in latest}
+        before = self._of_those_here(until, {*STATES, *(quantity for _, quantity in stores)})
         for key, store in stores.items():
             one, was = told[key], before.get(key)
-            if moment(one.time) < begin or (was and was.time > one.time):
+            first = not was and key[1] in OF_VISITS  # that is news by itself
+            if first or moment(one.time) < begin or (was and was.time > one.time):
                 continue
             asset, quantity = key
             of_it = (
@@ -152,6 +149,13 @@ class News:
             for asset, quantity, store in kind.reckoned(self.scenario, plan):
                 if (asset, quantity) in told:
                     yield (asset, quantity), store
+
+    def _of_those_here(self, until: pd.Timestamp, quantities: Iterable[str]) -> dict[Key, Reading]:
+        """Last readings before, by asset and quantity, without those of units that left since."""
+        latest = self.store.latest(until, quantities)
+        for of in every().values():
+            latest = of.of_those_here(latest)
+        return {(one.asset, one.quantity): one for one in latest}
 
 
 def is_lost(late: Mapping[str, Any]) -> bool:
