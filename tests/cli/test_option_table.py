@@ -45,7 +45,7 @@ def leaves(record: dict[str, Any], above: str = "") -> dict[str, Any]:
 def test_every_field_of_the_options_has_one_row_with_its_default() -> None:
     rows = [(option.field, option.run_default) for option in OPTIONS]
     assert len({option.name for option in OPTIONS}) == len(OPTIONS) == len(dict(rows))
-    assert dict(rows) == leaves(asdict(RunOptions()))
+    assert dict(rows) == leaves(asdict(RunOptions(switching=SwitchingRules())))
 
 
 def test_constants_of_other_rooms_are_those_of_the_table() -> None:
@@ -88,11 +88,12 @@ def test_page_names_what_a_sweep_varies() -> None:
 
 
 def test_every_option_of_a_sweep_changes_its_own_field() -> None:
-    day, options = tiny_scenario(), RunOptions()
+    day = tiny_scenario()
+    options = RunOptions().on(day)
     expected = leaves(options.as_record())
     own = {"cold-load-factor": 1.5, "solver": "scip", "method": "monolithic"}
     for name, row in sweep_parameters.OPTION_OF.items():
-        others = [choice for choice in row.choices if choice != row.run_default]
+        others = [choice for choice in row.choices if choice != expected[row.field]]
         value = own.get(name) or (others[0] if others else 3 if row.kind is int else 0.5)
         parameter = sweep_parameters.find_parameter(name, day)
         same, options = sweep_parameters.changed(parameter, value, day, options)
@@ -202,6 +203,7 @@ def test_a_row_with_a_key_is_a_key_of_the_scenario(monkeypatch: pytest.MonkeyPat
     (RunOptions, {"seed": 1.5}, "seed = 1.5: is not a whole number. Give one."),
     (SwitchingRules, {"stay_restored": "yes"},
         "switching.stay_restored = yes: is neither true nor false. Give True or False."),
+    (RunOptions, {"errors": 0.1}, "errors = 0.1: is of another kind. Give ForecastErrors(...)."),
 ])  # fmt: skip
 def test_a_value_of_another_kind_is_refused(
     options: Any, given: dict[str, Any], words: str

@@ -643,6 +643,15 @@ def test_constant_demand_under_noisy_forecasts_is_believed(tiny: Scenario) -> No
     assert set(run.steps["fallback"]) == {"none"}
 
 
+@pytest.mark.parametrize("load_bias", [-0.95, 0.0, 15.0])
+def test_demand_ten_times_off_its_forecast_is_believed_in_a_day_without_a_profile(
+    tiny: Scenario, load_bias: float
+) -> None:
+    steep = replace(tiny, load_kw=tiny.load_kw * np.array([[1.0], [0.05], [1.0]] * 2))
+    run = run_day(steep, RunOptions(horizon_h=1.0, errors=ForecastErrors(load_bias)))
+    assert set(run.steps["estimated"]) == {""}
+
+
 def test_a_changed_decision_is_seen(tiny: Scenario) -> None:
     plain = decision(tiny)
     assert difference(plain, plain) == ""

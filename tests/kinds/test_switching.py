@@ -16,6 +16,7 @@ import pytest
 from benchmarks.frame.random_feeders import random_state, random_window
 from tests.support.agreement import assert_agree, assert_holds
 from tests.support.dispatch_check import check_dispatch
+from tests.support.made_up_runs import without_devices
 from tests.support.refusals import refusal
 from tests.support.small_windows import (
     DARK,
@@ -371,6 +372,26 @@ def test_real_day_obeys_the_rules(
     assert broken_rules(run, rules) == 0
     free = run_day(day, replace(options, switching=SwitchingRules()))
     assert broken_rules(free, rules) > 0
+
+
+@pytest.mark.parametrize("options", [None, RunOptions(), RunOptions(switching=SwitchingRules())])
+def test_rules_of_a_scenario_hold_unless_a_run_has_its_own(
+    tiny: Scenario, options: RunOptions | None
+) -> None:
+    rules = SwitchingRules(min_unserved_h=3.0)
+    run = run_day(replace(tiny, switching=rules), options)
+    followed = options is None or options.switching is None
+    assert (broken_rules(run, rules) == 0) == followed
+
+
+@pytest.mark.parametrize("controller", ["mpc", "perfect"])
+def test_limit_of_actions_that_an_outage_breaks_is_let_go(tiny: Scenario, controller: str) -> None:
+    none_at_all = SwitchingRules(max_actions_per_customer=0)
+    run = run_day(without_devices(tiny), RunOptions(controller, switching=none_at_all))
+    assert set(run.steps["fallback"]) == {"none"}
+    assert run.steps["switching_relaxed"][0]
+    served = run.customers["served"].to_numpy(bool).reshape(6, 3)
+    assert served[:3].all()
 
 
 @pytest.mark.daily

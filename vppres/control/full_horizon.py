@@ -92,7 +92,7 @@ class FullHorizonController:
         info = SolveInfo(status="planned")
         window = WindowData.of(observation, self.solver.site, self.centre)
         if self.plan is None or not self._has_planned(observation.t0):
-            solution = self.planner.plan(observation)
+            solution = plan_with_rules(self.planner, observation)
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw
             self.first = observation.t0

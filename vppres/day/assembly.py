@@ -102,7 +102,7 @@ def make_controller(
             decider_of,
             partial(weighed, site, scenario, options.as_record()),
             scenario.customers.weight,
-            {Site: site, SwitchingRules: options.switching},
+            {Site: site, SwitchingRules: options.rules},
         )
 
     if own is not None and own.weights is not None:
@@ -132,7 +132,7 @@ def _of_configurations(
         return site_of(day, options.as_record())
 
     def given(site: Site) -> Given:
-        return {Site: site, SwitchingRules: options.switching}
+        return {Site: site, SwitchingRules: options.rules}
 
     if not (options.move_switches and scenario.switches.movable.any()):
         return InConfiguration(scenario, controller_of, site_in, given, options.centre)
@@ -195,7 +195,7 @@ def _plain_controller(
     planner = _planner(solver, options)
     if options.controller == "mpc":
         return MPCController(
-            solver, grid, options.horizon_h, centre, planner, options.switching.move_weight
+            solver, grid, options.horizon_h, centre, planner, options.rules.move_weight
         )
     physical = options.mode == "physical"
     return FullHorizonController(solver, grid, options.pv_check, centre, planner, physical)

@@ -40,14 +40,14 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
     """A higher demand after restorations, of what is dimmed or has a temperature."""
-    field, value = "cold_load_factor", options.switching.cold_load_factor
-    if options.switching.cold and scenario.customers.dimmable.any():
+    field, value = "cold_load_factor", options.rules.cold_load_factor
+    if options.rules.cold and scenario.customers.dimmable.any():
         # Which of the two comes first is not said.
         message = "is not stated for customers that may be dimmed"
         cure = "Use 1, or leave the column share_min of customers.csv out."
         yield Problem("options", message, cure, field=field, value=value)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
-        if not (options.switching.cold and kind.recovers_by):
+        if not (options.rules.cold and kind.recovers_by):
             continue
         message = f"counts what {kind.what} draw after an outage twice"
         cure = f"Use 1: what restored customers draw follows from their {kind.recovers_by}."

@@ -23,6 +23,13 @@ PERFECT = "perfect"
 RULES = ("idle", "reserve")
 """Controllers that follow a rule: they plan nothing and prove nothing."""
 
+_GROUPS = {
+    "errors": ForecastErrors,
+    "limits": SolveLimits,
+    "switching": SwitchingRules,
+    "reserve": ReserveRule,
+}
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -81,8 +88,8 @@ class RunOptions:
     isolate : bool or None
         Whether windows are solved in a separate process; None: yes for live controllers, no for
         runs.
-    switching : SwitchingRules
-        Rules on switching customers; none by default.
+    switching : SwitchingRules or None
+        Rules on switching customers, ``SwitchingRules()`` for none; None uses the scenario's.
     move_switches : bool
         Whether switches of the feeder move where that serves more.
     guard : bool
@@ -122,7 +129,7 @@ class RunOptions:
     turn_h: float | None = None
     minimum_on_h: float | None = None
     isolate: bool | None = default_of("isolate")
-    switching: SwitchingRules = field(default_factory=SwitchingRules)
+    switching: SwitchingRules | None = None
     move_switches: bool = default_of("move_switches")
     guard: bool = default_of("guard")
     protect_critical: bool = default_of("protect_critical")
@@ -132,7 +139,20 @@ class RunOptions:
         problems = [
             problem
             for option in OPTIONS
-            for problem in option.problems(attrgetter(option.field)(self))
+            if "." not in option.field  # groups check their own
+            for problem in option.problems(getattr(self, option.field))
+        ]
+        problems += [
+            Problem(
+                "options",
+                "is of another kind",
+                f"Give {kind.__name__}(...).",
+                field=group,
+                value=getattr(self, group),
+            )
+            for group, kind in _GROUPS.items()
+            if not isinstance(getattr(self, group), kind)
+            and (group, getattr(self, group)) != ("switching", None)
         ]
         if self.forecast_file is not None and self.forecaster != "file":
             problems.append(
@@ -174,7 +194,7 @@ class RunOptions:
             else:
                 new[path] = value
         for group, inside in groups.items():
-            new[group] = replace(getattr(self, group), **inside)
+            new[group] = replace(getattr(self, group) or SwitchingRules(), **inside)
         return replace(self, **new)
 
     def on(self, scenario: Scenario) -> RunOptions:
@@ -186,7 +206,12 @@ class RunOptions:
             and option.scenario_key
             and getattr(self, option.field, "") is None
         }
-        return self.having(left)
+        return self.having({"switching": self.switching or scenario.switching, **left})
+
+    @property
+    def rules(self) -> SwitchingRules:
+        """Rules on switching customers; none where they are the scenario's."""
+        return self.switching or SwitchingRules()
 
     @property
     def shares_supply(self) -> bool:

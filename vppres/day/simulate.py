@@ -130,7 +130,7 @@ class PlantIn:
     @classmethod
     def of(cls, day: Configured, options: RunOptions) -> PlantIn:
         """The plant of a configuration, in its first state."""
-        plant = Plant(day.scenario, options.thermal, options.switching)
+        plant = Plant(day.scenario, options.thermal, options.rules)
         ac, island_ac = power_flows(day.scenario)
         island = IslandPlant(plant, island_ac)
         return cls(day, plant, ac, island_ac, island, PlantInParts(plant))

@@ -178,7 +178,7 @@ def _moment(memory: dict[str, Any] | None, past: Past, given: Given) -> dict[str
 
 def given_by(known: Scenario, options: RunOptions) -> Given:
     """Objects that every controller of the site has by itself."""
-    return {Site: Site.of(known), SwitchingRules: options.switching}
+    return {Site: Site.of(known), SwitchingRules: options.rules}
 
 
 def _decisive(options: RunOptions) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def _change_option(
     option: Option, scenario: Scenario, options: RunOptions, value: Value
 ) -> tuple[Scenario, RunOptions]:
     """Replace a field of the options, or of a group in them."""
-    return scenario, options.having({option.field: value})
+    return scenario, options.on(scenario).having({option.field: value})
 
 
 def _with_outage_hours(day: Scenario, hours: float) -> Scenario:

@@ -59,13 +59,13 @@ class SeriesJudge:
         read_kw, pv_kw = seen.forecast.load_kw[0], seen.forecast.pv_kw[0]
         doubted, proven_kw = self._by_import(seen)
         least_kw, most_kw = self._confirmed(seen)
-        profiled = foretold or seen.profile_kw is not None
+        profiled = seen.profile_kw is not None
         far = _far_now(seen, expected_load_kw, least_kw, most_kw) & profiled
         far |= (read_kw > self._carried_kw) & (expected_load_kw < self._carried_kw)
         usual_kw = expected_load_kw
         if not foretold and seen.profile_kw is not None:
             usual_kw = seen.profile_kw
-        if not profiled:  # a reading before is no evidence against the next one
+        if not profiled:  # forecasts alone, or a reading before, are no evidence
             proven_kw = np.full_like(usual_kw, np.inf)
         doubted &= _implausible(read_kw, usual_kw) & ~far
         load_kw = np.where(far, expected_load_kw, np.where(doubted, usual_kw, read_kw))
