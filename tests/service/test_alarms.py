@@ -24,13 +24,13 @@ from tests.support.live_service import (
 )
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.alarms.conditions import Condition, Situation, conditions, situation
+from vppres.service.alarms.conditions import Situation, conditions, situation
 from vppres.service.alarms.state import KINDS, Alarms, Notice
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
-from vppres.service.storage.records import Reading, seconds
+from vppres.service.storage.records import Condition, Reading, seconds
 from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta("1h")

@@ -43,38 +43,23 @@ TWICE = ("is given more than once", "Give each identifier once.")
 LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
 
 
-class Door:
-    """Reads the parts of one measurement and collects their problems.
+class Mistakes:
+    """Problems of what a caller gave, those of one quantity counted where there are many."""
 
-    Where the guard ``estimates`` what is missing, readings of now may be. ``ranges`` are those of
-    single assets, narrower than those of their quantity.
-
-    Attributes
-    ----------
-    left_out : list of str
-        Readings of now that no device can have, which the guard estimates.
-    """
-
-    def __init__(
-        self,
-        grid: TimeGrid,
-        time: Any,
-        estimates: bool = False,
-        where: str = WHERE,
-        ranges: Ranges | None = None,
-    ) -> None:
-        self.grid = grid
-        self.estimates = estimates
+    def __init__(self, where: str) -> None:
         self.where = where
-        self.ranges = ranges or {}
         self.problems = list[Problem]()
-        self.left_out = list[str]()
-        self._start = pd.Timestamp(grid.start)
-        self._length = grid.step
         self._counts: Counter[str] = Counter()
-        self._left: Counter[str] = Counter()
-        self.t = int(self._steps("time", [time])[0])
-        self.begun = self._start + max(self.t, 0) * self._length
+
+    def problem(
+        self, field: str, message: str, cure: str, value: object = None, of: Any = None
+    ) -> None:
+        """Keep a problem of a quantity, or of one asset's; count it where there are many."""
+        self._counts[field] += 1
+        if self._counts[field] <= MOST_OF_A_KIND:
+            text = None if value is None else readable(value)
+            what = _named(field, of)
+            self.problems.append(Problem(self.where, message, cure, field=what, value=text))
 
     def finish(self) -> None:
         """Raise all problems at once.
@@ -96,6 +81,38 @@ class Door:
         ]
         if self.problems:
             raise InputError([*self.problems, *more])
+
+
+class Door(Mistakes):
+    """Reads the parts of one measurement and collects their problems.
+
+    Where the guard ``estimates`` what is missing, readings of now may be. ``ranges`` are those of
+    single assets, narrower than those of their quantity.
+
+    Attributes
+    ----------
+    left_out : list of str
+        Readings of now that no device can have, which the guard estimates.
+    """
+
+    def __init__(
+        self,
+        grid: TimeGrid,
+        time: Any,
+        estimates: bool = False,
+        where: str = WHERE,
+        ranges: Ranges | None = None,
+    ) -> None:
+        super().__init__(where)
+        self.grid = grid
+        self.estimates = estimates
+        self.ranges = ranges or {}
+        self.left_out = list[str]()
+        self._start = pd.Timestamp(grid.start)
+        self._length = grid.step
+        self._left: Counter[str] = Counter()
+        self.t = int(self._steps("time", [time])[0])
+        self.begun = self._start + max(self.t, 0) * self._length
 
     def table(self, field: str, given: Any, ids: Names, series: Floats) -> Floats:
         """A series of shape (T, items) with what was given in its place.
@@ -180,16 +197,6 @@ class Door:
         # Clocks may be ahead.
         ages_h = [0.0 if one is None else max((now - one) / HOUR, 0.0) for one in moments]
         return np.array(ages_h, dtype=float)
-
-    def problem(
-        self, field: str, message: str, cure: str, value: object = None, of: Any = None
-    ) -> None:
-        """Keep a problem of a quantity, or of one asset's; count it where there are many."""
-        self._counts[field] += 1
-        if self._counts[field] <= MOST_OF_A_KIND:
-            text = None if value is None else readable(value)
-            what = _named(field, of)
-            self.problems.append(Problem(self.where, message, cure, field=what, value=text))
 
     def _items(
         self, field: str, given: Any, ids: Names, wanted: str = BY_ASSET

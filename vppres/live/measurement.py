@@ -17,6 +17,7 @@ from vppres.core.errors import InputError, VppresError
 from vppres.kinds.live_fields import ReadOfKinds
 from vppres.kinds.table import parts
 from vppres.live.door import HOUR, WHERE, Door, readable
+from vppres.live.ranges import ranges_of
 from vppres.scenario.assets import Batteries
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -196,14 +197,63 @@ def step_at(grid: TimeGrid, time: Any) -> int:
 def row_of(grid: TimeGrid, measured: Measurement) -> tuple[int, bool]:
     """The step of a measurement, and whether it is of a moment within it.
 
-    The first step where there is none; :func:`moment_at` says so.
+    The first step where there is none; :func:`_moment_at` says so.
     """
     with reading(measured):
         door = Door(grid, measured.time)
         return max(door.t, 0), (door.moment("now", measured.now) or door.begun) > door.begun
 
 
-def moment_at(door: Door, measured: Measurement) -> pd.Timestamp:
+@dataclass(frozen=True, eq=False)
+class Read:
+    """Readings and expectations of a measurement that fit its site, NaN where one is missing."""
+
+    series: Scenario  #: the site, with what was read and foretold in its series' place
+    connected: Flags  #: customers that can be supplied at all, (C,)
+    seen: dict[str, Any]  #: readings of the moment, by field of the observation
+    of_kinds: dict[str, Any]  #: readings of the units of each kind
+    switches: dict[str, bool]  #: states of the switches that were read
+    announced_kw: Floats  #: limits of import that are announced, (T,)
+    foretold: dict[str, Flags]  #: items whose series another provider foretold, by series
+    left_out: tuple[str, ...]  #: readings that no device can have, in words
+
+    @classmethod
+    def of(
+        cls,
+        measured: Measurement,
+        site: Scenario,
+        estimates: bool,
+        last: int,
+        past: Mapping[str, Any],
+    ) -> Read:
+        """All that is read of a measurement; what is missing may be if a guard ``estimates`` it.
+
+        ``last`` is the step that was decided last, ``past`` the state of each kind after it.
+
+        Raises
+        ------
+        InputError
+            With every value that does not fit the scenario.
+        """
+        with reading(measured):
+            door = Door(site.grid, measured.time, estimates, ranges=ranges_of(site))
+            _check_order(door, measured, last)
+            moment = _moment_at(door, measured)
+            connected = door.flags("connected", measured.connected, site.customers.id)
+            series = _read_series(door, site, measured, connected)
+            seen = _read_devices(door, site, measured, moment)
+            switches = _read_switches(door, measured.closed, site.switches.id)
+            unknown = np.full(site.grid.n_steps, np.nan)
+            announced_kw = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+            ids = {"load_kw": site.customers.id, "pv_kw": site.pv.id}
+            foretold = {name: _is_foretold(measured, name, each) for name, each in ids.items()}
+            series, of_kinds = _read_kinds(door, series, measured, moment, past)
+            door.finish()
+        left_out = tuple(door.left_out)
+        return cls(series, connected, seen, of_kinds, switches, announced_kw, foretold, left_out)
+
+
+def _moment_at(door: Door, measured: Measurement) -> pd.Timestamp:
     """The moment of a measurement, which must lie within its step."""
     now = door.moment("now", measured.now) or door.begun
     if not door.begun <= now < door.begun + door.grid.step:
@@ -211,7 +261,7 @@ def moment_at(door: Door, measured: Measurement) -> pd.Timestamp:
     return now
 
 
-def read_kinds(
+def _read_kinds(
     door: Door,
     scenario: Scenario,
     measured: Measurement,
@@ -229,7 +279,7 @@ def read_kinds(
     return scenario, kinds
 
 
-def read_series(
+def _read_series(
     door: Door, scenario: Scenario, measured: Measurement, connected: Flags
 ) -> Scenario:
     """The scenario with series as read and foretold, NaN where a reading of now is missing.
@@ -252,7 +302,7 @@ def read_series(
     return replace(scenario, **read)
 
 
-def read_devices(
+def _read_devices(
     door: Door, scenario: Scenario, measured: Measurement, now: pd.Timestamp
 ) -> dict[str, Any]:
     """Readings of a moment, by field of the observation, NaN where one is missing.
@@ -269,7 +319,7 @@ def read_devices(
     import_kw = door.number("import_kw", measured.import_kw)
     dimmable = door.flags("dimmable", measured.dimmable, scenario.customers.id)
     if not door.estimates:
-        check_complete(door, b, measured, soc, online)
+        _check_complete(door, b, measured, soc, online)
         soc = np.clip(soc, b.soc_min, b.soc_max)
     return {
         "soc": soc,
@@ -281,24 +331,24 @@ def read_devices(
         "whole": None if dimmable.all() else ~dimmable,
         "elapsed_h": (now - door.begun) / HOUR,
         "soc_age_h": door.ages_h("soc_at", measured.soc_at, b.id, now),
-        "told": read_overrides(door, measured.ordered_kw, b.id, now),
+        "told": _read_overrides(door, measured.ordered_kw, b.id, now),
     }
 
 
-def read_switches(door: Door, read: Any, ids: Names) -> dict[str, bool]:
+def _read_switches(door: Door, read: Any, ids: Names) -> dict[str, bool]:
     """States of the switches that were read."""
     closed = door.flags("closed", read, ids)
     given = set(read.keys()) if isinstance(read, (Mapping, pd.Series)) else set()
     return {str(name): bool(one) for name, one in zip(ids, closed, strict=True) if name in given}
 
 
-def is_foretold(measured: Measurement, field: str, ids: Names) -> Flags:
+def _is_foretold(measured: Measurement, field: str, ids: Names) -> Flags:
     """Items whose series another provider foretold."""
     names = set((measured.foretold or {}).get(field, ()))
     return np.array([str(name) in names for name in ids], dtype=bool)
 
 
-def read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
+def _read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
     """Set-points of batteries from times on, the earliest first."""
     if ordered_kw is None:
         return ()
@@ -311,7 +361,7 @@ def read_overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -
     return tuple(sorted(found, key=lambda one: -one.before_h))
 
 
-def check_order(door: Door, measured: Measurement, last: int) -> None:
+def _check_order(door: Door, measured: Measurement, last: int) -> None:
     """Time does not go back behind the step that was decided last: that cannot be undone."""
     if 0 <= door.t < last:
         door.problem(
@@ -322,7 +372,7 @@ def check_order(door: Door, measured: Measurement, last: int) -> None:
         )
 
 
-def check_complete(
+def _check_complete(
     door: Door, b: Batteries, measured: Measurement, soc: Floats, online: Flags
 ) -> None:
     """Report readings that are missing and without which only a guard can do."""

@@ -20,20 +20,8 @@ from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.table import TABLES, parts, units_of
-from vppres.live.door import Door
-from vppres.live.measurement import (
-    Measurement,
-    check_order,
-    is_foretold,
-    moment_at,
-    read_devices,
-    read_kinds,
-    read_series,
-    read_switches,
-    reading,
-)
+from vppres.live.measurement import Measurement, Read
 from vppres.live.past import Past
-from vppres.live.ranges import ranges_of
 from vppres.live.state import Standing
 from vppres.plant.plant import BatteryState
 from vppres.scenario.configuration import Branches, out_of_branches
@@ -104,47 +92,26 @@ class Present:
         """
         site, past, row = at.known, at.past, window.start
         t = row + at.forgotten
-        with reading(measured):
-            door = Door(site.grid, measured.time, options.guard, ranges=ranges_of(site))
-            check_order(door, measured, past.t - at.forgotten)
-            moment = moment_at(door, measured)
-            connected = door.flags("connected", measured.connected, site.customers.id)
-            read = read_series(door, site, measured, connected)
-            seen = read_devices(door, site, measured, moment)
-            switches = read_switches(door, measured.closed, site.switches.id)
-            unknown = np.full(site.grid.n_steps, np.nan)
-            announced_kw = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
-            load = is_foretold(measured, "load_kw", site.customers.id)
-            pv = is_foretold(measured, "pv_kw", site.pv.id)
-            read, of_kinds = read_kinds(door, read, measured, moment, past.kinds)
-            door.finish()
-        now, beyond = (_to_come(_without_gaps(read, site), rows) for rows in (window, ahead))
+        read = Read.of(measured, site, options.guard, past.t - at.forgotten, past.kinds)
+        now, beyond = (_to_come(_without_gaps(read.series, site), rows) for rows in (window, ahead))
         beyond = replace(beyond, history=past.history)
-        forecasts = GivenFirst(forecasts_of(beyond, options, ForecastErrors()), beyond, load, pv)
-        forecast = forecasts.at(0, range(now.grid.n_steps))
-        forecast = replace(  # it begins with what was measured; who is cut off takes nothing
-            forecast,
-            load_kw=np.where(connected, _first_row(forecast.load_kw, read.load_kw[row]), 0.0),
-            pv_kw=_first_row(forecast.pv_kw, read.pv_kw[row]),
-        )
-        served = np.ones(len(connected), dtype=bool) if past.served is None else past.served
-        begins = Moment(site, row, served, t * now.grid.dt_h + seen["elapsed_h"], now)
-        live = parts("live")
-        kinds = {
-            kind: live[kind].now(begins, of_kinds[kind], past.kinds.get(kind))
-            for kind in units_of(now)
-        }
-        closed, left_open = _configuration(now, switches, past.closed)
+        own = forecasts_of(beyond, options, ForecastErrors())
+        forecasts = GivenFirst(own, beyond, read.foretold["load_kw"], read.foretold["pv_kw"])
+        forecast = _begun(forecasts.at(0, range(now.grid.n_steps)), read, row)
+        served = np.ones(len(read.connected), dtype=bool) if past.served is None else past.served
+        begins = Moment(site, row, served, t * now.grid.dt_h + read.seen["elapsed_h"], now)
+        kinds = _kinds_now(begins, read, past)
+        closed, left_open = _configuration(now, read.switches, past.closed)
         known = Observation(
             t,
             forecast,
-            **seen,
+            **read.seen,
             **past.known_at(t),
             ahead=_kinds_ahead(now, kinds, past_days),
             flexible_kw=None if past.t < 0 else sum((k.taken_kw for k in kinds.values()), 0.0),
             flexible_off_kw=sum((k.taken_off_kw for k in kinds.values()), 0.0),
             terminal=Terminal.of(options.soc_end, forecast, ends=window.stop == site.grid.n_steps),
-            profile_kw=site.load_kw[row] * connected,
+            profile_kw=site.load_kw[row] * read.connected,
             profile_pv_kw=site.pv_kw[row],
             closed=closed,
         )
@@ -154,14 +121,14 @@ class Present:
             scenario=now,
             ahead=beyond,
             forecasts=forecasts,
-            beside=Beside(site.price_gbp_per_kwh[:row], announced_kw[row:]),
+            beside=Beside(site.price_gbp_per_kwh[:row], read.announced_kw[row:]),
             past=past,
             kinds=kinds,
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
             closed=closed,
-            connected=connected,
-            estimated=(*door.left_out, *left_open, *words),
+            connected=read.connected,
+            estimated=(*read.left_out, *left_open, *words),
         )
 
     def observation(self, view: OutageView) -> Observation:
@@ -238,6 +205,15 @@ def _states(kinds: dict[str, UnitsNow]) -> dict[str, Any]:
     return {kind: now.state for kind, now in kinds.items()}
 
 
+def _kinds_now(begins: Moment, read: Read, past: Past) -> dict[str, UnitsNow]:
+    """Units of each kind at the beginning of the step."""
+    live = parts("live")
+    return {
+        kind: live[kind].now(begins, read.of_kinds[kind], past.kinds.get(kind))
+        for kind in units_of(begins.window)
+    }
+
+
 def _kinds_ahead(
     day: Scenario, kinds: dict[str, UnitsNow], past_days: dict[str, Any]
 ) -> KindsAhead:
@@ -260,6 +236,16 @@ def _to_come(scenario: Scenario, rows: range) -> Scenario:
     found = scenario.between(rows.start, rows.stop)
     now = found.grid.start
     return replace(found, **{name: getattr(found, name).to_come(now) for name in TABLES})
+
+
+def _begun(forecast: Forecast, read: Read, row: int) -> Forecast:
+    """A forecast that begins with what was measured; who is cut off takes nothing."""
+    load_kw = _first_row(forecast.load_kw, read.series.load_kw[row])
+    return replace(
+        forecast,
+        load_kw=np.where(read.connected, load_kw, 0.0),
+        pv_kw=_first_row(forecast.pv_kw, read.series.pv_kw[row]),
+    )
 
 
 def _first_row(rows: Floats, row: Floats) -> Floats:

@@ -132,7 +132,8 @@ class Overview:
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
-        self._tiers = site_of(runner)["customers"]
+        self.site = site_of(runner)
+        self._tiers = self.site["customers"]
         self._longest_off_h = limits_h(runner.scenario)
         self._turn = threading.Lock()
         self._past: dict[str, dict[str, Any]] = {}

@@ -23,7 +23,7 @@ from vppres.service.of_kind import every
 from vppres.service.plans.document import DARK, PROPOSED, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
 from vppres.service.storage.followed import REFUSED, why_refused
-from vppres.service.storage.records import asks, seconds
+from vppres.service.storage.records import Condition, asks, seconds
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Latest, refusing, soc_now
@@ -49,32 +49,6 @@ BY_HAND = ("hold", "manual")
 
 UNPLANNED = (*BY_HAND, "off")
 """Modes without a plan of the controller."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """Something that is wrong.
-
-    Its ``subject`` is an asset or source, empty if it is the site. An acknowledgement is about its
-    ``items``, for example the customers that are off; it may be ``due`` later.
-    """
-
-    kind: str
-    subject: str
-    priority: str
-    text: str
-    items: tuple[str, ...] = ()
-    due: pd.Timestamp | None = None
-
-    @property
-    def due_at(self) -> int | None:
-        """When it is due, as it is stored."""
-        return seconds(self.due) if self.due else None
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Identity of the alarm: two conditions with the same key are one alarm."""
-        return self.kind, self.subject
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +377,9 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             priority = HIGH if time <= now.now + SOON else MEDIUM
             names = named(sorted(later), NAMES_SHOWN)
             words = f"Planned: {names} of the first tier off supply at {now.clock(time)}."
-            yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
+            yield Condition(
+                "critical_off", "", priority, words, tuple(sorted(later)), seconds(time)
+            )
             return
 
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import pandas as pd
 
-from vppres.service.alarms.conditions import PRIORITIES, Condition
+from vppres.service.alarms.conditions import PRIORITIES
 from vppres.service.clock import written
-from vppres.service.storage.records import AlarmRow, moment, seconds
+from vppres.service.storage.records import AlarmRow, Condition, moment, seconds
 from vppres.service.storage.store import Store
 
 REMINDER = pd.Timedelta(hours=2)
@@ -212,16 +212,7 @@ class Alarms:
 
     def _row(self, condition: Condition, now: pd.Timestamp) -> AlarmRow:
         """A new alarm; one that was shelved when it came last stays so."""
-        new = AlarmRow(
-            number=0,
-            kind=condition.kind,
-            subject=condition.subject,
-            priority=condition.priority,
-            text=condition.text,
-            items=condition.items,
-            due_at=condition.due_at,
-            raised_at=seconds(now),
-        )
+        new = AlarmRow(**vars(condition), raised_at=seconds(now))
         last = self.store.last_alarm(*condition.key)
         if last and (last.shelved_until or 0) > seconds(now):
             return replace(new, shelved_until=last.shelved_until, shelved_by=last.shelved_by)
@@ -278,13 +269,8 @@ def state_of(row: AlarmRow, now: pd.Timestamp) -> str:
 
 def _updated(row: AlarmRow, condition: Condition) -> AlarmRow:
     """A standing alarm as it is now; an acknowledgement lapses if it has become worse."""
-    now = replace(
-        row,
-        priority=condition.priority,
-        text=condition.text,
-        items=(*row.items, *sorted(set(condition.items) - set(row.items))),
-        due_at=condition.due_at,
-    )
+    items = (*row.items, *sorted(set(condition.items) - set(row.items)))
+    now = replace(row, **{**vars(condition), "items": items})
     return replace(now, acknowledged_at=None, acknowledged_by="") if _is_worse(row, now) else now
 
 

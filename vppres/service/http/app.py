@@ -11,7 +11,10 @@ from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
 from vppres.service.http.perimeter import Perimeter
 from vppres.service.limits import Rate, RateLimits
+from vppres.service.operation.metrics import Figures
 from vppres.service.operation.runner import Runner
+from vppres.service.overview import Overview
+from vppres.service.replay.explainer import Explainer
 from vppres.service.routes import (
     alarms,
     events,
@@ -26,7 +29,10 @@ from vppres.service.routes import (
 )
 from vppres.service.routes.guard import Guard
 
-GUARDED = (telemetry, forecasts, events, plans, setpoints, alarms, operation, switching, page)
+SUBJECTS = (
+    *(health, telemetry, forecasts, events, plans),
+    *(setpoints, alarms, operation, switching, page),
+)
 
 
 def make_app(
@@ -51,10 +57,13 @@ def make_app(
     )
     answer_errors(app)
     # Not by `include_router`, which prepares every route once more at the first request.
-    app.router.routes += health.routes(runner).routes
+    for subject in SUBJECTS:
+        app.router.routes += subject.router.routes
     # Who rehearses asks for one step after another.
     guarded = Guard(access, RateLimits({} if runner.rehearsal else rates))
     app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
-    for subject in GUARDED:
-        app.router.routes += subject.routes(runner, guarded).routes
+    app.state.runner, app.state.guard = runner, guarded
+    app.state.figures, app.state.overview = Figures(runner), Overview(runner)
+    app.state.explainer = Explainer(runner)
+    runner.on_plan = app.state.explainer.begin
     return app

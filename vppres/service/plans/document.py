@@ -41,6 +41,16 @@ PROPOSED = "proposed"
 """What a plan says of switches that an operator is to move."""
 
 STORED_VALUE = "stored_value_gbp_per_kwh"
+
+SOLVED = {
+    "relative_gap": "gap",
+    "objective": "objective",
+    "bound": "bound",
+    "seconds": "solve_s",
+    STORED_VALUE: STORED_VALUE,
+}
+"""Numbers of a solved window as a plan names them, and as a run's steps do."""
+
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
 
@@ -97,7 +107,7 @@ def plan_of(
     left: Left,
 ) -> dict[str, Any]:
     """The plan of a step that was decided."""
-    solve, customers = decision.solve, decision.customers
+    solve = decision.solve
     fallback = None if solve["fallback"] == "none" else solve["fallback"]
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
     shed = shed_in(decision)
@@ -107,25 +117,7 @@ def plan_of(
     return {
         **_head(decision.time, scenario, "ok" if fallback is None else "fallback"),
         "inputs_digest": f"sha256:{inputs_digest(known.measurement)}",
-        "solve": {
-            "status": str(solve["status"]),
-            "relative_gap": number_or_none(solve["gap"]),
-            "objective": number_or_none(solve["objective"]),
-            "bound": number_or_none(solve["bound"]),
-            "seconds": number_or_none(solve["solve_s"]),
-            "stored_value_gbp_per_kwh": number_or_none(
-                solve.get("stored_value_gbp_per_kwh", math.nan)
-            ),
-            "outage_messages": str(solve.get("outage_messages", "")) or None,
-            ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
-            "levels": solve.get("levels"),
-            "inverted": solve.get("inverted"),
-            "shorter": solve.get("shorter"),
-            "dark_reason": solve.get("dark_reason") or None,
-            "fallback": fallback,
-            "fallback_reason": solve["fallback_reason"] or None,
-            "correction_reason": solve["reason"] or None,
-        },
+        "solve": _solved(decision, fallback),
         "grid": left.grid,
         "estimated": [
             *(words for words in str(solve["estimated"]).split("; ") if words),
@@ -151,6 +143,22 @@ def plan_of(
         "ahead": _ahead(decision.foreseen, known),
         "off_h": _off_h(decision, scenario),
         **_switching(decision, scenario),
+    }
+
+
+def _solved(decision: SetPoints, fallback: str | None) -> dict[str, Any]:
+    """How the window was solved, and what decided in its place."""
+    solve, customers = decision.solve, decision.customers
+    return {
+        "status": str(solve["status"]),
+        **{name: number_or_none(solve.get(own, math.nan)) for name, own in SOLVED.items()},
+        "outage_messages": str(solve.get("outage_messages", "")) or None,
+        ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
+        **{name: solve.get(name) for name in ("levels", "inverted", "shorter")},
+        "dark_reason": solve.get("dark_reason") or None,
+        "fallback": fallback,
+        "fallback_reason": solve["fallback_reason"] or None,
+        "correction_reason": solve["reason"] or None,
     }
 
 

@@ -35,6 +35,7 @@ from vppres.service.events.announced import limits_kw, prices, warnings_ever
 from vppres.service.events.faults import faults_told
 from vppres.service.of_kind import told_by_plans
 from vppres.service.operation.site import Service
+from vppres.service.plans.document import SOLVED, STORED_VALUE
 from vppres.service.plans.world import World
 from vppres.service.replay.within import StepPart, off_in, parts_of
 from vppres.service.storage.records import Event, seconds
@@ -44,17 +45,6 @@ from vppres.service.window import Window
 
 MOST_STEPS = 40_000
 """At once: more than a year of quarter hours."""
-
-OF_SOLVE = {
-    "status": "status",
-    "gap": "relative_gap",
-    "objective": "objective",
-    "bound": "bound",
-    "solve_s": "seconds",
-    "fallback_reason": "fallback_reason",
-    "correction_reason": "correction_reason",
-}
-"""Columns of a run's steps by the names of a stored plan."""
 
 
 def export(service: Service, place: Path | str, begin: str, end: str) -> Trajectory:
@@ -310,15 +300,13 @@ def _noted(record: StepRecord, plan: Plan) -> StepRecord:
     }
     found = {"status": plan.get("status", "missed"), "v_error_pu": 0.0}
     if solve := plan.get("solve"):
-        values = {name: solve[stored] for name, stored in OF_SOLVE.items()}
-        found |= {
-            name: ("" if name.endswith("reason") else np.nan) if value is None else value
-            for name, value in values.items()
-        }
+        numbers = {own: solve.get(name) for name, own in SOLVED.items()}
+        if numbers[STORED_VALUE] is None:
+            del numbers[STORED_VALUE]
+        found |= {own: np.nan if value is None else value for own, value in numbers.items()}
+        found |= {name: solve[name] or "" for name in ("fallback_reason", "correction_reason")}
+        found["status"] = solve["status"]
         found["fallback"] = solve["fallback"] or "none"
-        worth = solve.get("stored_value_gbp_per_kwh")
-        if worth is not None:
-            found["stored_value_gbp_per_kwh"] = worth
         if "outage_messages" in record.steps:
             found["outage_messages"] = solve.get("outage_messages") or ""
         found["corrected"] = solve["correction_reason"] is not None

@@ -1,13 +1,15 @@
-"""Dependencies of routes that let a scope pass and name who asks."""
+"""Dependencies of routes that let a scope pass, and name who asks and the service that is asked."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import Depends, Header
+from fastapi import Depends, Header, Request
 
 from vppres.service.access import Access, Denied
 from vppres.service.limits import DENIED, RateLimits
+from vppres.service.operation.runner import Runner
 
 
 class Guard:
@@ -17,16 +19,17 @@ class Guard:
         self.access = access
         self.limits = limits or RateLimits()
 
-    def __call__(self, scope: str) -> Any:
-        """The name of who asks, in a route for a scope."""
+    def actor(self, authorization: str | None, scope: str) -> str:
+        """The name of who asks for something of a scope.
 
-        # Not in a thread: it waits for nothing.
-        async def actor(authorization: Annotated[str | None, Header()] = None) -> str:
-            found = self.access.actor(authorization, scope)
-            self.limits.check(found, scope)
-            return found
-
-        return Depends(actor)
+        Raises
+        ------
+        Denied
+            If it may not.
+        """
+        found = self.access.actor(authorization, scope)
+        self.limits.check(found, scope)
+        return found
 
     def check(self, authorization: str | None) -> None:
         """Whether a token is known, before anything else of the request is read.
@@ -41,3 +44,30 @@ class Guard:
         except Denied:
             self.limits.check("", DENIED)
             raise
+
+
+@dataclass(frozen=True)
+class Sender:
+    """Sender of a request that it may send."""
+
+    runner: Runner  #: of the service that it asks
+    actor: str  #: its name
+
+
+def _with(scope: str) -> Any:
+    """The sender of a request, who needs a scope."""
+
+    # Not in a thread: it waits for nothing.
+    async def sender(
+        request: Request, authorization: Annotated[str | None, Header()] = None
+    ) -> Sender:
+        service = request.app.state
+        return Sender(service.runner, service.guard.actor(authorization, scope))
+
+    return Depends(sender)
+
+
+Reader = Annotated[Sender, _with("read")]
+Source = Annotated[Sender, _with("telemetry")]
+Announcer = Annotated[Sender, _with("events")]
+Operator = Annotated[Sender, _with("operator")]

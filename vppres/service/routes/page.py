@@ -5,14 +5,13 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
 from vppres.service.clock import written
-from vppres.service.operation.runner import Runner
-from vppres.service.overview import Overview, site_of
-from vppres.service.routes.guard import Guard
+from vppres.service.overview import Overview
+from vppres.service.routes.guard import Reader
 from vppres.service.routes.times import moment_asked
 
 POLICY = "; ".join(
@@ -40,45 +39,40 @@ PICTURES = "pictures.js"
 
 FILES = ("page.html", "page.css", "icon.svg", "page.js", "words.js", "chart.js", "operator.js")
 
+router = APIRouter()
+"""The page's files need no token: they know nothing of the site."""
 
-def routes(runner: Runner, guarded: Guard) -> APIRouter:
-    """``GET /`` and its files, ``GET /v1/site`` and ``GET /v1/overview``.
 
-    The files need no token: they know nothing of the site.
-    """
-    router = APIRouter()
-    folder, drawing = files("vppres.service") / "page", files("vppres.report") / "templates"
-    for name in (*FILES, PICTURES):
-        path = "/" if name == "page.html" else f"/page/{name}"
-        file = (drawing if name == PICTURES else folder) / name
-        router.add_route(path, _sender(name, file.read_bytes()))
-    overview = Overview(runner)
-    site = site_of(runner)
+@router.get("/v1/site")
+def what(request: Request, _: Reader) -> dict[str, Any]:
+    """Constant data of the site: names, limits, ratings, tiers and modes."""
+    found: dict[str, Any] = request.app.state.overview.site
+    return found
 
-    @router.get("/v1/site")
-    def what(_: str = guarded("read")) -> dict[str, Any]:
-        """Constant data of the site: names, limits, ratings, tiers and modes."""
-        return site
 
-    @router.get("/v1/overview")
-    async def how(_: str = guarded("read")) -> Response:
-        """All that a control room looks at: mode, plan, who is off, sources, the last hours."""
-        text = overview.fresh() or await run_in_threadpool(overview.text)
-        headers = {"Cache-Control": "no-store"}
-        return Response(text, media_type="application/json", headers=headers)
+@router.get("/v1/overview")
+async def how(request: Request, _: Reader) -> Response:
+    """All that a control room looks at: mode, plan, who is off, sources, the last hours."""
+    overview: Overview = request.app.state.overview
+    text = overview.fresh() or await run_in_threadpool(overview.text)
+    headers = {"Cache-Control": "no-store"}
+    return Response(text, media_type="application/json", headers=headers)
 
-    @router.get("/v1/history")
-    def history(
-        since: Annotated[str, Query(max_length=40)],
-        until: Annotated[str | None, Query(max_length=40)] = None,
-        _: str = guarded("read"),
-    ) -> dict[str, Any]:
-        """Steps that were, from a time on; of more than 1,000 the last ones."""
-        now = runner.clock.now()
-        end = now if until is None else moment_asked(until)
-        return {"now": written(now), "steps": overview.history(moment_asked(since), end)}
 
-    return router
+@router.get("/v1/history")
+def history(
+    by: Reader,
+    request: Request,
+    since: Annotated[str, Query(max_length=40)],
+    until: Annotated[str | None, Query(max_length=40)] = None,
+) -> dict[str, Any]:
+    """Steps that were, from a time on; of more than 1,000 the last ones."""
+    now = by.runner.clock.now()
+    end = now if until is None else moment_asked(until)
+    return {
+        "now": written(now),
+        "steps": request.app.state.overview.history(moment_asked(since), end),
+    }
 
 
 def _sender(name: str, content: bytes) -> Any:
@@ -90,3 +84,10 @@ def _sender(name: str, content: bytes) -> Any:
         return Response(content, media_type=media_type, headers=headers)
 
     return send
+
+
+_PAGE, _DRAWING = files("vppres.service") / "page", files("vppres.report") / "templates"
+for _name in (*FILES, PICTURES):
+    _path = "/" if _name == "page.html" else f"/page/{_name}"
+    _file = (_DRAWING if _name == PICTURES else _PAGE) / _name
+    router.add_route(_path, _sender(_name, _file.read_bytes()))

@@ -12,43 +12,38 @@ from fastapi.responses import JSONResponse
 from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.answers import MOST_PROBLEMS, listed, problem_of
-from vppres.service.operation.runner import Runner
-from vppres.service.routes.guard import Guard
+from vppres.service.routes.guard import Source
 from vppres.service.telemetry.knowledge import WHERE, readings_of
 from vppres.service.telemetry.refused import Refusal
 
+router = APIRouter()
 
-def routes(runner: Runner, guarded: Guard) -> APIRouter:
-    """Readings come in."""
-    router = APIRouter()
 
-    @router.post("/v1/telemetry")
-    def telemetry(body: payloads.Telemetry, actor: str = guarded("telemetry")) -> Response:
-        """Readings; to send them twice does no harm.
+@router.post("/v1/telemetry")
+def telemetry(by: Source, body: payloads.Telemetry) -> Response:
+    """Readings; to send them twice does no harm.
 
-        ``asked_again`` says which of them stand alone, and are to be sent again within seconds.
-        """
-        now = runner.clock.now()
-        until = runner.begun(now) + 2 * runner.length
-        read = [one for one in body.each if isinstance(one, payloads.Readings)]
-        good, refused = readings_of(read, runner.scenario, until)
-        refused = [*unread(body, actor), *refused]
-        runner.hearing.refused.note(refused, good, now)
-        problems = [one.problem for one in refused]
-        if problems and not good:
-            raise InputError(problems)
-        kept = runner.hearing.hear(good, now, actor)
-        again = runner.hearing.asked_again(good)
-        return JSONResponse(
-            {
-                "accepted": kept.accepted,
-                "duplicates": kept.duplicates,
-                "refused": listed(problems),
-                **({"asked_again": again} if again else {}),
-            }
-        )
-
-    return router
+    ``asked_again`` says which of them stand alone, and are to be sent again within seconds.
+    """
+    now = by.runner.clock.now()
+    until = by.runner.begun(now) + 2 * by.runner.length
+    read = [one for one in body.each if isinstance(one, payloads.Readings)]
+    good, refused = readings_of(read, by.runner.scenario, until)
+    refused = [*unread(body, by.actor), *refused]
+    by.runner.hearing.refused.note(refused, good, now)
+    problems = [one.problem for one in refused]
+    if problems and not good:
+        raise InputError(problems)
+    kept = by.runner.hearing.hear(good, now, by.actor)
+    again = by.runner.hearing.asked_again(good)
+    return JSONResponse(
+        {
+            "accepted": kept.accepted,
+            "duplicates": kept.duplicates,
+            "refused": listed(problems),
+            **({"asked_again": again} if again else {}),
+        }
+    )
 
 
 def unread(batch: payloads.Telemetry, actor: str) -> Iterator[Refusal]:

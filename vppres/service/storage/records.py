@@ -110,17 +110,37 @@ class Lost:
 
 
 @dataclass(frozen=True)
-class AlarmRow:
-    """An alarm as it is kept; its number is 0 before."""
+class Condition:
+    """Something that is wrong.
 
-    number: int
+    Its ``subject`` is an asset or source, empty if it is the site. An acknowledgement is about its
+    ``items``, for example the customers that are off; it may be due later.
+    """
+
     kind: str
     subject: str
     priority: str
     text: str
-    items: tuple[str, ...]
-    due_at: int | None
-    raised_at: int
+    items: tuple[str, ...] = ()
+    due_at: int | None = None
+
+    @property
+    def due(self) -> pd.Timestamp | None:
+        """When it is due, if it is later than now."""
+        return moment(self.due_at) if self.due_at else None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Identity of the alarm: two conditions with the same key are one alarm."""
+        return self.kind, self.subject
+
+
+@dataclass(frozen=True)
+class AlarmRow(Condition):
+    """An alarm as it is kept; its number is 0 before."""
+
+    number: int = 0
+    raised_at: int = 0
     acknowledged_at: int | None = None
     acknowledged_by: str = ""
     cleared_at: int | None = None
@@ -131,11 +151,6 @@ class AlarmRow:
     def stands(self) -> bool:
         """Whether it was not cleared."""
         return not self.cleared_at
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Identity of the alarm: two rows with the same key are one alarm."""
-        return self.kind, self.subject
 
 
 @dataclass(frozen=True)
