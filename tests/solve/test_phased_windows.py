@@ -213,7 +213,7 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
         model.sources(data), data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
     )
     given_kw = (data.phased.former_offset + model.linear(data, *drawn)[1]).real
-    slopes = np.abs(model.slopes[1].former_q.real[:, len(site.customers) :])
+    slopes = np.abs(model.supplies[1].slopes.former_q.real[:, len(site.customers) :])
     kva = np.append(
         site.pv.s_max_kva, np.where(site.batteries.grid_forming, 0.0, site.batteries.s_max_kva)
     )

@@ -144,7 +144,8 @@ class PhasedLinearisation:
     ) -> WindowData:
         """The window linearised at AC points in some steps, or a share of the way there."""
         phased, drawn = data.phased, data.drawn
-        u, former = self.model.offsets(data, p, q, points)
+        u, former = self.model.linear(data, p, q)
+        u, former = points.u_pu2 - u, points.source_kva - former
         currents = points.currents - self.model.currents(data, p, q)
         moved = share * steps[:, None]
         kw = drawn.kw + moved * (points.network_kw - drawn.kw)

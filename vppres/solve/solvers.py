@@ -200,7 +200,7 @@ def solve_by_highs(
     if not found.status.has_answer:
         return Outcome(found.status, np.nan, np.nan, watch.spent_s, DIRECT)
     selected.put(found.x)
-    sign = -1.0 if selected.maximises else 1.0
+    sign = -1.0 if selected.selection.maximises else 1.0
     value, bound = (sign * (each + selected.offset) for each in (found.value, found.bound))
     return Outcome(found.status, value, bound, watch.spent_s, DIRECT)
 
@@ -259,7 +259,7 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
         matrix, at_least = selected.added
         rows.append(selected.shown(matrix) @ x >= at_least)
     cost = numbers.cost @ x + numbers.offset
-    sense = cp.Maximize(-cost) if selected.maximises else cp.Minimize(cost)
+    sense = cp.Maximize(-cost) if selected.selection.maximises else cp.Minimize(cost)
     return cp.Problem(sense, rows), x
 
 

@@ -212,5 +212,5 @@ class WindowTask:
             solve_s=self.deadline.spent_s,
             solver_s=known.solver_s,
             stages=tuple(known.stages),
-            loss_kw=self.data.network_kw if self.data.physical or self.data.drawn else None,
+            loss_kw=self.data.network_kw if self.data.physics or self.data.drawn else None,
         )

@@ -56,7 +56,7 @@ class PhysicalMode(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether the window is physical."""
-        return data.physical or None
+        return bool(data.physics) or None
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""

@@ -18,7 +18,8 @@ def steady_sets(data: WindowData) -> Iterator[Flags]:
     allow.
     """
     rules = data.switching
-    assert rules is not None
+    if rules is None:
+        return
     shape = data.load_kw.shape
     limited = np.flatnonzero(np.isfinite(data.grid_limit_kw))
     always = np.ones(shape, dtype=bool)
