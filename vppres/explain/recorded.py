@@ -43,7 +43,7 @@ from vppres.model.ratings import with_ratings
 from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.shadow_price_model import FixedDecisions
+from vppres.solve.shadow_prices import FixedDecisions
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""

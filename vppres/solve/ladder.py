@@ -52,12 +52,11 @@ from vppres.solve.network.decide import (
     network_master,
 )
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.sooner import as_good, is_settled, sooner
 from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 from vppres.solve.turns import one_at_a_time
-from vppres.solve.whole import with_binaries, without_binaries
+from vppres.solve.whole import least_slack, with_binaries, without_binaries
 
 METHODS = ("decomposed", "monolithic")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags
-from vppres.model.beyond_paper.stored_value import kept_range
+from vppres.model.beyond_paper.at_end import kept_range
 from vppres.model.data import WindowData
 from vppres.model.ratings import has_ratings
 from vppres.model.site import Site

@@ -18,7 +18,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.beyond_paper.beyond_limit import beyond_limit_kw
+from vppres.model.beyond_paper.drawn import beyond_limit_kw
 from vppres.model.constraints import Named
 from vppres.model.data import Unspent, WindowData
 from vppres.model.numerics import write
