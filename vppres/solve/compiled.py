@@ -84,11 +84,13 @@ def affine(constraint: cp.Constraint) -> Affine:
     column = np.repeat(np.arange(size + 1), np.diff(begins)).astype(np.int64)
     rows = Linear(np.asarray(indices, dtype=np.int64), column, by, (shape[0], size))
     first = program.param_id_to_col
+    compiled, of_variable = chain.compose_var_id_map(), program.var_id_to_col
+    numbers = ((x.id, compiled.get(x.id, [x.id])[0]) for x in problem.variables())
     lower, upper = _bounds(program, size)
     return Affine(
         rows,
         equalities=data["dims"].zero,
-        first=_first_columns(problem, program, chain.compose_var_id_map()),
+        first={own: of_variable[new] for own, new in numbers if new in of_variable},
         parameters=[(p, first[p.id]) for p in program.parameters],
         width=program.total_param_size + 1,
         lower=lower,
@@ -112,15 +114,6 @@ def _by_diagonals(part: Any) -> Any:
         product = cp.diag(cp.vec(factor, order="F")) @ cp.vec(letters, order="F")
         return cp.reshape(product, part.shape, order="F")
     return part.copy(args)
-
-
-def _first_columns(
-    problem: cp.Problem, program: Any, places: dict[int, list[int]]
-) -> dict[int, int]:
-    """First column of each variable that has any, by cvxpy's number of the variable."""
-    columns = program.var_id_to_col
-    compiled = {v.id: places.get(v.id, [v.id])[0] for v in problem.variables()}
-    return {own: columns[new] for own, new in compiled.items() if new in columns}
 
 
 def _bounds(program: Any, size: int) -> tuple[Floats, Floats]:

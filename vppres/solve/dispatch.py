@@ -35,7 +35,7 @@ from vppres.solve.netting import eased_soc, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
-from vppres.solve.phases import near_to, with_more_room
+from vppres.solve.phases import MORE_ROOM, near_to
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import NO_ANSWER, run, run_conic, solve_by_highs
@@ -411,7 +411,10 @@ def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Ca
     allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
     rest_kwh = allowed / worth if worth > 0.0 else np.inf
     more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
-    data = with_more_room(found.data) if inside else found.data
+    data = found.data
+    if inside:
+        room_kva = (1.0 + MORE_ROOM) * data.phased.room_kva
+        data = replace(data, phased=replace(data.phased, room_kva=room_kva))
     sheet = sheet_of(task.cache, data)
     terms = evaluate(site, data, dispatch)
     # What the cost has besides is held by itself.

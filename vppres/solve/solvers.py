@@ -120,24 +120,13 @@ def find_solver(name: str) -> SolverSpec:
     False
     """
     spec = SOLVERS.get(name)
+    if spec is not None and spec.installed:
+        return spec
     ready = ", ".join(s.name for s in SOLVERS.values() if s.installed)
-    if spec is None:
-        raise InputError.of(
-            "options",
-            f"is not a known solver ({', '.join(SOLVERS)})",
-            f"Installed here: {ready}.",
-            field="solver",
-            value=name,
-        )
-    if not spec.installed:
-        raise InputError.of(
-            "options",
-            "is not installed",
-            f"Install it, or use one of: {ready}.",
-            field="solver",
-            value=name,
-        )
-    return spec
+    wrong, cure = f"is not a known solver ({', '.join(SOLVERS)})", f"Installed here: {ready}."
+    if spec is not None:
+        wrong, cure = "is not installed", f"Install it, or use one of: {ready}."
+    raise InputError.of("options", wrong, cure, field="solver", value=name)
 
 
 def run(

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from vppres.core.arrays import Flags
 from vppres.model.ratings import has_ratings
 from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import carried, dispatch_of, tie_breakers
@@ -15,7 +14,6 @@ from vppres.solve.levels import service_then_cost
 from vppres.solve.network.large import LargeMaster
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT
-from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
 
 
@@ -61,7 +59,9 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
         fleet = fleet_master(task)
         assert fleet is not None
         outcome, served = fleet.service(task.gap / master.unit)
-        if not task.is_huge and served is not None and not forbids(master, outcome, served):
+        # Whether the network allows the fleet's service, and the set that has it.
+        as_much = master.most_units + HALF_UNIT > outcome.value
+        if not task.is_huge and served is not None and as_much and master.carries(served):
             return False
         known.note("service", outcome)
         known.prove(outcome)
@@ -90,12 +90,6 @@ def use_surplus(task: WindowTask, master: NetworkMaster) -> None:
     if found is not None and not found.in_network:
         charges = found.dispatch.charge_kw > found.dispatch.discharge_kw
         master.keep(found.dispatch.served, charges)
-
-
-def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
-    """Whether the network forbids the fleet's service, or the set that has it."""
-    less = master.most_units + HALF_UNIT <= outcome.value
-    return less or not master.carries(served)
 
 
 def network_master(task: WindowTask) -> NetworkMaster | None:
