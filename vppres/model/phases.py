@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -202,7 +202,6 @@ class PhasedPoints:
     converged: Flags
 
 
-@dataclass(frozen=True, eq=False)
 class PhasedModel:
     """A site's three phases, with the grid as source and with each former of its islands.
 
@@ -210,27 +209,19 @@ class PhasedModel:
     then units of kinds. Behind them are those of parts, as lines were out.
     """
 
-    site: Site
-    formers: tuple[str, ...]
-    supplies: list[Supply]
-    _of_parts: dict[SupplyKey, int] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, site: Site) -> PhasedModel:
-        """The model of a site that has phases."""
-        phases = site.phases
-        formers = tuple(island_formers(site))
-        names = assets_of(site)
-        net = site.feeder
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self.formers = tuple(island_formers(site))
+        self._of_parts: dict[SupplyKey, int] = {}
+        phases, names, net = site.phases, assets_of(site), site.feeder
         voltages = (net.v_slack_pu, net.v_min_pu, net.v_max_pu)
-        grid = flow_of_grid(phases, names, net.v_slack_pu)
-        flows = (grid, *(flow_of_former(phases, names, former, *voltages) for former in formers))
+        flows = [flow_of_grid(phases, names, net.v_slack_pu)]
+        flows += [flow_of_former(phases, names, former, *voltages) for former in self.formers]
         of = Loadings.of if site.rated else Loadings.none
-        supplies = [
+        self.supplies = [
             Supply.of(site, ((0, former),), flow, of(flow.phases))
-            for former, flow in zip(("", *formers), flows, strict=True)
+            for former, flow in zip(("", *self.formers), flows, strict=True)
         ]
-        return cls(site, formers, supplies)
 
     @property
     def rated(self) -> tuple[str, ...]:
@@ -490,7 +481,7 @@ _KEPT = 16
 
 def phased_model(site: Site) -> PhasedModel:
     """The model of a site, made once for equal sites."""
-    found = _KNOWN.pop(site.key, None) or PhasedModel.of(site)
+    found = _KNOWN.pop(site.key, None) or PhasedModel(site)
     _KNOWN[site.key] = found
     while len(_KNOWN) > _KEPT:
         _KNOWN.popitem(last=False)

@@ -340,7 +340,7 @@ class WindowSolver:
 
     def _task(self, data: WindowData, limits: SolveLimits) -> WindowTask:
         """A window whose time begins now."""
-        return WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
+        return WindowTask(data, self.cache, limits, self.spec, self.sides)
 
 
 def _with_sound_soc(site: Site, data: WindowData) -> WindowData:

@@ -81,10 +81,6 @@ class SearchState:
             self.tried = np.round(found.x)
         self.bound = max(self.most, min(self.bound, float(np.floor(SOLVED - found.bound))))
 
-    def exclude(self) -> None:
-        """No set that is carried has as much as the bound."""
-        self.bound = max(self.most, self.bound - 1.0)
-
     def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
         if units > self.most:
