@@ -29,11 +29,11 @@ from vppres.day.options import RunOptions
 from vppres.day.priority import site_of
 from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.beyond_paper.ratings import loading_of_phases
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import COLLAPSED_PU2, giving_way
 from vppres.model.phases import phased_model
-from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken

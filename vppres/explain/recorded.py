@@ -32,14 +32,13 @@ from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
-from vppres.model.beyond_paper.ratings import LineRatings
+from vppres.model.beyond_paper.ratings import LineRatings, with_ratings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.parts import parts_of
 from vppres.model.phases import NOTHING_FORMS, Supply, phased_model
-from vppres.model.ratings import with_ratings
 from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver

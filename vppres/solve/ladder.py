@@ -17,10 +17,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolveError
-from vppres.model.data import WindowData
-from vppres.model.numerics import POLYGON_SIDES
-from vppres.model.own_state import giving_way, with_own_state
-from vppres.model.ratings import (
+from vppres.model.beyond_paper.ratings import (
     GIVEN,
     MOVED_SHARE,
     has_ratings,
@@ -28,6 +25,9 @@ from vppres.model.ratings import (
     with_ratings,
     with_ratings_given,
 )
+from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
+from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.scenario.assets import SOC_ROUNDING

@@ -13,9 +13,8 @@ from functools import partial
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.ratings import FAMILY
+from vppres.model.beyond_paper.ratings import FAMILY, limit_kva
 from vppres.model.data import WindowData
-from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.numerics import SAME
-from vppres.solve.linear import Linear
+from vppres.solve.compiled import Linear
 from vppres.solve.selection import MOST, Family, Sheet
 
 DIGITS = 14

@@ -26,8 +26,7 @@ from vppres.model.data import WindowData
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.model.statement import Statement
-from vppres.solve.compiled import Affine, Numbers, affine, checked, joined
-from vppres.solve.linear import Linear
+from vppres.solve.compiled import Affine, Linear, Numbers, affine, checked, joined
 
 ORDER = (
     "battery_charge_mode",

@@ -10,8 +10,8 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.model.beyond_paper.at_end import kept_range
+from vppres.model.beyond_paper.ratings import has_ratings
 from vppres.model.data import WindowData
-from vppres.model.ratings import has_ratings
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange

@@ -26,8 +26,8 @@ from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
+from vppres.solve.compiled import Linear
 from vppres.solve.forms import MODES, OF_PV, one_mode_at_a_time, sheet_of, total_balance
-from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.netting import eased_soc
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from vppres.model.ratings import has_ratings
+from vppres.model.beyond_paper.ratings import has_ratings
 from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import carried, dispatch_of, tie_breakers
 from vppres.solve.fleet.masters import fleet_master
