@@ -139,7 +139,9 @@ class Statement:
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
         named |= self._own_families
         for name, constraint in named.items():
-            if not _is_linear(constraint):
+            # Maxima and absolute values may stand in linear rows.
+            of_lines = all(side.is_pwl() for side in constraint.args)
+            if isinstance(constraint, cp.SOC) or not of_lines:
                 raise ModelError(
                     f"The family {name} is not linear. State it by linear rows, with variables of "
                     "its own where it needs any."
@@ -259,8 +261,3 @@ class Statement:
         """Give the letters the values of a solution, by their names."""
         for name, value in values.items():
             self.letters[name].save_value(value)
-
-
-def _is_linear(constraint: cp.Constraint) -> bool:
-    """Whether a constraint is one of linear rows, with maxima and absolute values at most."""
-    return not isinstance(constraint, cp.SOC) and all(each.is_pwl() for each in constraint.args)

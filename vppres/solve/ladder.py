@@ -40,9 +40,9 @@ from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     everyone_served,
+    keep_a_steady_set,
     with_modes_of_batteries,
 )
-from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.forms import sheet_of
 from vppres.solve.levels import service_then_cost
 from vppres.solve.longest_off import solve_with_limits
@@ -383,14 +383,6 @@ def climb(task: WindowTask) -> None:
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
     enter_network(task, master)
-
-
-def keep_a_steady_set(task: WindowTask) -> None:
-    """An answer by rule, if switching rules left the searches none in their time."""
-    for served in steady_sets(task.data):
-        if task.certificate.answered:
-            return
-        keep_dispatch(task, served, network=True)
 
 
 def worth_everyone(task: WindowTask) -> bool:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from vppres.model.beyond_paper.ratings import has_ratings
-from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import carried, dispatch_of, tie_breakers
 from vppres.solve.fleet.masters import fleet_master
 from vppres.solve.fleet.rungs import with_modes_of_batteries
@@ -34,7 +33,9 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
         known.best = dispatch_of(task, best.dispatch.served)
         if known.certified:
             return
-    elif master is None or worth_asking_tie_breakers(master, best):
+    # Of a large window the tie-breakers take seconds to find that there is no answer: not where the
+    # linear problem of the network carries less than the fleet.
+    elif master is None or master.unit * (master.most_units + HALF_UNIT) > best.service:
         known.best = carried(task, best, tie_breakers)
         if known.best is not None:
             return
@@ -97,12 +98,3 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     if task.own or not applies(task.site, task.data):
         return None
     return LargeMaster(task) if task.is_large else NetworkMaster(task)
-
-
-def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
-    """Whether the tie-breakers may carry the dispatch of a large window.
-
-    There they take seconds to find that there is no answer. The linear problem of the network is
-    asked first: where it carries less than the fleet, they need not be.
-    """
-    return master.unit * (master.most_units + HALF_UNIT) > best.service
