@@ -106,6 +106,7 @@ MECHANISMS = (
         {
             "network.master.search_options": no_options,
             "fleet.masters.search_options": no_options,
+            "fleet.all_terms.search_options": no_options,
             "programs.PROOF": {},
             "network.large.SEARCH": {},
         },
@@ -117,7 +118,11 @@ MECHANISMS = (
     ),
     Mechanism(
         "options by kind of window",
-        {"network.master.search_options": one_set, "fleet.masters.search_options": one_set},
+        {
+            "network.master.search_options": one_set,
+            "fleet.masters.search_options": one_set,
+            "fleet.all_terms.search_options": one_set,
+        },
         ("programs.search_options",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),

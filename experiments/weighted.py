@@ -128,7 +128,7 @@ class WeightedSolver(WindowSolver):
             If there is none: infeasible, or not found in time.
         """
         limits = self.limits.at_most(within_s)
-        task = WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
+        task = WindowTask(data, self.cache, limits, self.spec, self.sides)
         return solve_weighted(task, self.choices)
 
 

@@ -47,7 +47,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
-from vppres.solve.slack import least_slack
+from vppres.solve.whole import least_slack
 
 TIERS = ("critical", "high", "low")
 SEEDS = st.integers(0, 10_000)

@@ -27,8 +27,8 @@ from vppres.explain.windows import Windows
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
-from vppres.solve import shadow_price_model
-from vppres.solve.shadow_price_model import ShadowPriceModel
+from vppres.solve import shadow_prices
+from vppres.solve.shadow_prices import ShadowPriceModel
 
 pytest.importorskip("opendssdirect")
 
@@ -295,7 +295,7 @@ def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
 
     own = [prices(t, letters=0) for t in (0, 1)]
     for name in ("VOLTAGES", "FLOWS"):
-        monkeypatch.setattr(shadow_price_model, name, frozenset())
+        monkeypatch.setattr(shadow_prices, name, frozenset())
     with_tree = [prices(t, letters=3) for t in (0, 1)]
     assert any(each["active"].any() for each in own)
     for one, other in zip(own, with_tree, strict=True):

@@ -35,8 +35,13 @@ from vppres.scenario.network import Network
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
-from vppres.solve.shadow_prices import PricedWindow, price_window
+from vppres.solve.shadow_prices import (
+    FixedDecisions,
+    PricedTerms,
+    PricedWindow,
+    ShadowPriceModel,
+    price_window,
+)
 
 SERVICE = PricedTerms(1.0, 0.0, 0.1)
 

@@ -21,8 +21,13 @@ from vppres.explain.words import figure
 from vppres.model.data import WindowData
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
-from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
-from vppres.solve.shadow_prices import PricedWindow, price_window
+from vppres.solve.shadow_prices import (
+    FixedDecisions,
+    PricedTerms,
+    PricedWindow,
+    ShadowPriceModel,
+    price_window,
+)
 from vppres.solve.solvers import run_conic
 
 DAYS = [(0, True), (1, False), (2, False), (3, False), (5, True)]

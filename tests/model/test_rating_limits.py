@@ -20,8 +20,7 @@ from vppres.explain.day import explain_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
-from vppres.model.beyond_paper.ratings import LineRatings
-from vppres.model.ratings import with_ratings_given
+from vppres.model.beyond_paper.ratings import LineRatings, with_ratings_given
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.report.findings import findings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,11 +25,10 @@ from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
-from vppres.solve.fleet.masters import search_for_set
 from vppres.solve.fleet.relaxation import Fleet, counts_of_alike, fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.programs import search_options
-from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.selection import Sheet
 from vppres.solve.solvers import find_solver, run
 
@@ -184,29 +182,21 @@ def test_customers_of_different_weights_have_no_counts() -> None:
 # Sets to begin with.
 
 
-def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_searches_for_sets_begin_near_the_linear_solution() -> None:
     """And find what they find without: a set is where they begin, not where they end."""
     case = hard_window("rules", 1)
     cache = ModelCache(case.site)
     problem = fleet_problem(cache, case.data, True, integer=True, goal="weighted")
     problem.write(case.data)
     x = problem.sheet.columns["x_served"]
-    began = []
-
-    def noted(*asked: Any) -> Outcome:
-        began.append(asked[-1])
-        return run(*asked)
-
-    monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
     highs, scip = find_solver("highs"), find_solver("scip")
     asked = 1e-6, 20.0, objective_scale(case.site)
     plain = run(problem, highs, *asked)
     nobody = np.zeros(x.shape, dtype=bool)
-    found = search_for_set(problem, case.data, highs, *asked, first=nobody)
-    assert found.value == pytest.approx(plain.value, abs=1e-5)
-    assert began[0] is nobody
-    search_for_set(problem, case.data, scip, *asked)
-    assert began[1] is None
+    options = search_options(case.site, case.data)
+    for solver in (highs, scip):
+        found = run(problem, solver, *asked, options, nobody)
+        assert found.value == pytest.approx(plain.value, abs=1e-5)
 
 
 @pytest.mark.parametrize("stored", [True, False])

@@ -68,8 +68,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.plans.world import World
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.phases import MOST_BINDING, near_to
-from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
-from vppres.solve.shadow_prices import price_window
+from vppres.solve.shadow_prices import PricedTerms, ShadowPriceModel, price_window
 
 pytest.importorskip("opendssdirect")
 

@@ -65,7 +65,7 @@ def test_a_search_is_done_again_if_it_stopped_at_too_large_a_gap(
     """Gaps in those of the plan: what was thought before it was known, what the search leaves."""
     scenario, data = without_grid(*BOTH_FULL)
     cache = shared_cache(Site.of(scenario))
-    task = WindowTask.begin(data, cache, SolveLimits(), find_solver("highs"), 16)
+    task = WindowTask(data, cache, SolveLimits(), find_solver("highs"), 16)
     true_gap = task.limits.gap_at(0.0)
     monkeypatch.setattr(WindowTask, "gap", thought * true_gap)
     asked: list[float] = []

@@ -171,9 +171,9 @@ def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:
     modes = {"delta": np.zeros((1, 1))}
     served = np.ones((1, 1), dtype=bool)
     limits, highs = SolveLimits(time_s=10.0), find_solver("highs")
-    task = WindowTask.begin(window(scenario), cache, limits, highs, 0)
+    task = WindowTask(window(scenario), cache, limits, highs, 0)
     found = cheapest(task, served, modes=modes)
     assert found.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
     less = replace(scenario, batteries=battery(soc=soc - 1e-6))
-    task = WindowTask.begin(window(less), cache, limits, highs, 0)
+    task = WindowTask(window(less), cache, limits, highs, 0)
     assert cheapest(task, served, modes=modes) is None

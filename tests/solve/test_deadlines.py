@@ -117,7 +117,7 @@ def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
     assert task.deadline.passed
     assert 0.3 < task.latest.left_s < 0.4
     assert not task.answer_by(share=0.1).passed
-    task_later = WindowTask.begin(task.data, task.cache, SolveLimits(time_s=30.0), task.spec, 16)
+    task_later = WindowTask(task.data, task.cache, SolveLimits(time_s=30.0), task.spec, 16)
     assert 9.0 < task_later.answer_by(share=1 / 3).left_s < 10.1
 
 

@@ -112,7 +112,7 @@ def test_search_begins_with_what_it_is_given(seed: int) -> None:
 
 def master_of_fleet(site: Site, data: WindowData, lumped: bool = True) -> Master:
     """The master without the network, which asks one battery first."""
-    task = WindowTask.begin(data, shared_cache(site), SolveLimits(time_s=TIME_S), *SPEC)
+    task = WindowTask(data, shared_cache(site), SolveLimits(time_s=TIME_S), *SPEC)
     return Master(task, lumped, stepwise=True)
 
 
@@ -200,7 +200,7 @@ def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     monkeypatch.setattr(Certificate, "certified", certified)
     data = window(packaged, slice(10, 18), 0.5)
     limits = SolveLimits(time_s=100.0)
-    task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
+    task = WindowTask(data, ModelCache(Site.of(packaged)), limits, *SPEC)
     master = master_of(task, True)
     assert master is not None
     service_then_cost(master)
@@ -431,9 +431,9 @@ def test_a_schedule_costs_no_more_with_what_is_eased_for_it(soc: float) -> None:
     day = replace(day, batteries=battery(energy_kwh=100.0, count=3, soc=soc))
     served = np.ones((2, 2), dtype=bool)
     cache, limits = ModelCache(Site.of(day)), SolveLimits(time_s=10.0)
-    task = WindowTask.begin(window(day), cache, limits, find_solver("highs"), POLYGON_SIDES)
+    task = WindowTask(window(day), cache, limits, find_solver("highs"), POLYGON_SIDES)
     form = Form("cost", "fixed", "relaxed", network=False)
-    level = CostLevel.of(task, served)
+    level = CostLevel(task, served)
     exact, more = (level.solve(form, eased=eased).outcome for eased in (False, True))
     assert exact.status == more.status == Status.OPTIMAL
     assert more.bound <= exact.bound + 1e-12 * abs(exact.bound)

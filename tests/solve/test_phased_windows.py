@@ -29,11 +29,11 @@ from vppres.day.options import RunOptions
 from vppres.day.priority import site_of
 from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.beyond_paper.ratings import loading_of_phases
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import COLLAPSED_PU2, giving_way
 from vppres.model.phases import phased_model
-from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.violations import broken
@@ -213,7 +213,7 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
         model.sources(data), data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
     )
     given_kw = (data.phased.former_offset + model.linear(data, *drawn)[1]).real
-    slopes = np.abs(model.slopes[1].former_q.real[:, len(site.customers) :])
+    slopes = np.abs(model.supplies[1].slopes.former_q.real[:, len(site.customers) :])
     kva = np.append(
         site.pv.s_max_kva, np.where(site.batteries.grid_forming, 0.0, site.batteries.s_max_kva)
     )

@@ -15,7 +15,7 @@ from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.units import kva_to_a
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
-from vppres.model.ratings import limit_kva, with_ratings
+from vppres.model.beyond_paper.ratings import limit_kva, with_ratings
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import LIMIT

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.hard_days import hard_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE
-from vppres.solve.fleet.steady import steady_sets
+from vppres.solve.fleet.rungs import steady_sets
 from vppres.solve.ladder import WindowSolver
 
 SEEDS = (0, 1, 2, 3, 4, 5, 7, 8, 9)

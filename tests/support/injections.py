@@ -40,7 +40,7 @@ def columns_of(model: Injections, d: Dispatch) -> Floats:
 def in_network(site: Site, data: WindowData, time_s: float = 20.0) -> NetworkMaster:
     """The master in the network of a window, which has none from other tests."""
     limits, highs = SolveLimits(time_s=time_s), find_solver("highs")
-    task = WindowTask.begin(data, ModelCache(site), limits, highs, POLYGON_SIDES)
+    task = WindowTask(data, ModelCache(site), limits, highs, POLYGON_SIDES)
     found = network_master(task)
     assert found is not None
     return found

@@ -18,8 +18,8 @@ from vppres.core.units import kva_to_a
 from vppres.kinds.gensets import GensetState
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.losses import lossless
+from vppres.model.beyond_paper.ratings import with_ratings
 from vppres.model.data import WindowData
-from vppres.model.ratings import with_ratings
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.scenario.priority import Ranks

@@ -218,7 +218,7 @@ class BalancedLinearisation:
     def _short_kw(self, data: WindowData, points: ACPoints) -> Floats:
         """Losses that the plans of island parts lack, (W, N) by the number of the part."""
         of_bus = data.parts.of_bus
-        missing_kw = (points.loss_kw - data.physics.loss_kw) * data.lines_in_island
+        missing_kw = (points.loss_kw - data.physics.loss_kw) * data.in_island[:, 1:]
         found = np.zeros(of_bus.shape)
         steps = np.broadcast_to(np.arange(data.n_steps)[:, None], missing_kw.shape)
         np.add.at(found, (steps, of_bus[:, 1:]), missing_kw)

@@ -17,7 +17,7 @@ from vppres.control.planner import OnePass, Planner, decided, plan_with_rules
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
-from vppres.model.beyond_paper.stored_value import left_kwh
+from vppres.model.beyond_paper.at_end import left_kwh
 from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver

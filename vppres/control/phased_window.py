@@ -15,12 +15,12 @@ from vppres.contract.observation import Observation
 from vppres.control.linearisation import DEFAULT_PASSES, LOSS_TOLERANCE_KW, VOLTAGE_TOLERANCE_PU
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.beyond_paper.ratings import KEPT_SHARE, loading_of_phases
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_exported, sun_used_and_left
 from vppres.model.parts import at_items
 from vppres.model.phases import PhasedModel, PhasedPoints
-from vppres.model.ratings import KEPT_SHARE, loading_of_phases
 from vppres.physics.phased_sources import farthest
 from vppres.solve.phases import binding
 
@@ -144,7 +144,8 @@ class PhasedLinearisation:
     ) -> WindowData:
         """The window linearised at AC points in some steps, or a share of the way there."""
         phased, drawn = data.phased, data.drawn
-        u, former = self.model.offsets(data, p, q, points)
+        u, former = self.model.linear(data, p, q)
+        u, former = points.u_pu2 - u, points.source_kva - former
         currents = points.currents - self.model.currents(data, p, q)
         moved = share * steps[:, None]
         kw = drawn.kw + moved * (points.network_kw - drawn.kw)

@@ -22,8 +22,7 @@ from vppres.kinds.customer import reasons as customer
 from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts
 from vppres.scenario.phases import PHASES
-from vppres.solve.shadow_price_model import ShadowPriceModel
-from vppres.solve.shadow_prices import ShadowPrices
+from vppres.solve.shadow_prices import ShadowPriceModel, ShadowPrices
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
 SHADOW_PRICES = ("time", "constraint", "item", "unit", "weighted_h", "gbp")

@@ -11,10 +11,10 @@ from vppres.control.converged import dark_steps, physics_of
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.explain.recorded import Recorded
+from vppres.model.beyond_paper.ratings import with_ratings
 from vppres.model.data import WindowData
 from vppres.model.parts import parts_of
 from vppres.model.phases import GRID, NOTHING_FORMS, PhasedModel, Slopes, Supply, phased_model
-from vppres.model.ratings import with_ratings
 from vppres.physics.phased_sources import buses_of
 from vppres.physics.phases import PhasedResult
 

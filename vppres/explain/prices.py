@@ -13,8 +13,13 @@ from vppres.core.errors import LimitError, ModelError
 from vppres.explain.windows import Windows
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
-from vppres.solve.shadow_prices import PricedWindow, price_window
+from vppres.solve.shadow_prices import (
+    FixedDecisions,
+    PricedTerms,
+    PricedWindow,
+    ShadowPriceModel,
+    price_window,
+)
 
 WORTH = 1e-6
 """Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""

@@ -24,14 +24,13 @@ from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
-from vppres.model.beyond_paper.ratings import LineRatings
+from vppres.model.beyond_paper.ratings import LineRatings, with_ratings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
-from vppres.model.ratings import with_ratings
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.shadow_price_model import FixedDecisions
+from vppres.solve.shadow_prices import FixedDecisions
 
 NEARLY_ALL = 1.0 - 1e-4
 """Largest share of a customer that was not served. In full, the limits of its PV system's export

@@ -19,7 +19,7 @@ from vppres.kinds.export.physics import Export
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.parts import Parts, at_items, held_by_units, parts_of
 from vppres.model.site import Site
-from vppres.scenario.assets import SOC_ROUNDING, Batteries
+from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
 
 
@@ -180,20 +180,6 @@ class WindowData:
             drawn=self.drawn and self.drawn.at(~parts.dead),
         )
 
-    def with_sound_soc(self, batteries: Batteries) -> WindowData:
-        """The window with states of charge at their limits that miss them by rounding.
-
-        A state outside leaves a battery that may not move no dispatch, however little it is.
-        """
-        inside = np.clip(self.soc, batteries.soc_min, batteries.soc_max)
-        rounding = np.abs(self.soc - inside) <= SOC_ROUNDING
-        return replace(self, soc=np.where(rounding, inside, self.soc))
-
-    @property
-    def physical(self) -> bool:
-        """Whether the window's problem is that of physical mode."""
-        return bool(self.physics)
-
     @property
     def n_steps(self) -> int:
         """Steps W of the window."""
@@ -213,15 +199,14 @@ class WindowData:
 
     def part(self, steps: slice) -> WindowData:
         """Some steps of the window; ``soc`` stays that of its beginning."""
-        by_step = {name: getattr(self, name) for name in ROWS}
         tables = {f.name: getattr(self, f.name) for f in fields(self)}
-        tables = {name: each for name, each in tables.items() if hasattr(each, "part")}
+        cut = {name: each.part(steps) for name, each in tables.items() if hasattr(each, "part")}
         begin, end, _ = steps.indices(self.n_steps)
         to_the_end = end == self.n_steps
         return replace(
             self,
-            **{name: rows[steps] for name, rows in by_step.items()},
-            **{name: table.part(steps) for name, table in tables.items()},
+            **{name: tables[name][steps] for name in ROWS},
+            **cut,
             on_before=None if begin else self.on_before,
             ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
@@ -231,8 +216,8 @@ class WindowData:
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
         """Lowest and highest squared referred voltages, (W, N) each."""
         shape = (self.n_steps, network.n_buses)
-        lowest = np.broadcast_to(network.u_min_pu2, shape)
-        highest = np.broadcast_to(network.u_max_pu2, shape)
+        limits = (network.u_min_pu2, network.u_max_pu2)
+        lowest, highest = (np.broadcast_to(each, shape) for each in limits)
         if not len(self.own_u_pu2):
             return lowest, highest
         return np.fmin(lowest, self.own_u_pu2), np.fmax(highest, self.own_u_pu2)
@@ -335,11 +320,6 @@ class WindowData:
     def in_island(self) -> Flags:
         """Buses of islands, (W, N)."""
         return ~self.with_grid
-
-    @property
-    def lines_in_island(self) -> Flags:
-        """Lines of islands, (W, L)."""
-        return self.in_island[:, 1:]
 
     @property
     def with_grid(self) -> Flags:

@@ -72,7 +72,12 @@ def at_random(terms: list[cp.Expression]) -> list[Floats]:
 def changed_families(page: Named, site: Site, v: Variables, p: Parameters) -> tuple[str, ...]:
     """Families of the paper that the page lacks, or states in another way."""
     paper = {name: c for name, (_, c) in constraints.made_by(site, v, p).items()}
-    there = {name: c for name, c in paper.items() if _is_alike(c, page.get(name))}
+    shapes = {name: [type(c), *(side.shape for side in c.args)] for name, c in page.items()}
+    there = {
+        name: c
+        for name, c in paper.items()
+        if shapes.get(name) == [type(c), *(side.shape for side in c.args)]
+    }
     sides = [side for n in there for side in (*paper[n].args, *page[n].args)]
     values = iter(at_random(sides))
     same = set()
@@ -81,10 +86,3 @@ def changed_families(page: Named, site: Site, v: Variables, p: Parameters) -> tu
         if all(np.allclose(x, y, rtol=SAME, atol=0.0) for x, y in zip(one, other, strict=True)):
             same.add(name)
     return tuple(name for name in paper if name not in same)
-
-
-def _is_alike(one: cp.Constraint, other: cp.Constraint | None) -> bool:
-    """Whether two constraints are of a kind, and their sides of a shape."""
-    if other is None or type(one) is not type(other):
-        return False
-    return [side.shape for side in one.args] == [side.shape for side in other.args]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +79,12 @@ def parts_of(
     forms = np.zeros((len(part), len(soc)), dtype=bool)
     charged = site.batteries.holds_energy(soc)
     at = _buses(site, "batteries")
-    others = [] if needs_former else _buses_of_units(site, named_units(site))
+    index = site.network.bus_index
+    others = [
+        index[bus]
+        for kind, flags in ({} if needs_former else named_units(site)).items()
+        for bus in getattr(site, kind).buses(site.customers)[flags]
+    ]
     for t, numbers in enumerate(part):
         charged = charged | grid[t, at]
         formed = numbers[others]
@@ -111,13 +115,3 @@ def _buses(site: Site, table: str) -> Wholes:
     """Positions of the buses of a table's items."""
     index = site.network.bus_index
     return np.array([index[bus] for bus in getattr(site, table).bus], dtype=int)
-
-
-def _buses_of_units(site: Site, named: Mapping[str, Flags]) -> list[int]:
-    """Positions of the buses of units that are to form islands."""
-    index = site.network.bus_index
-    return [
-        index[bus]
-        for kind, flags in named.items()
-        for bus in getattr(site, kind).buses(site.customers)[flags]
-    ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -202,7 +202,6 @@ class PhasedPoints:
     converged: Flags
 
 
-@dataclass(frozen=True, eq=False)
 class PhasedModel:
     """A site's three phases, with the grid as source and with each former of its islands.
 
@@ -210,37 +209,19 @@ class PhasedModel:
     then units of kinds. Behind them are those of parts, as lines were out.
     """
 
-    site: Site
-    formers: tuple[str, ...]
-    supplies: list[Supply]
-    _of_parts: dict[SupplyKey, int] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, site: Site) -> PhasedModel:
-        """The model of a site that has phases."""
-        phases = site.phases
-        formers = tuple(island_formers(site))
-        names = assets_of(site)
-        net = site.feeder
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self.formers = tuple(island_formers(site))
+        self._of_parts: dict[SupplyKey, int] = {}
+        phases, names, net = site.phases, assets_of(site), site.feeder
         voltages = (net.v_slack_pu, net.v_min_pu, net.v_max_pu)
-        grid = flow_of_grid(phases, names, net.v_slack_pu)
-        flows = (grid, *(flow_of_former(phases, names, former, *voltages) for former in formers))
+        flows = [flow_of_grid(phases, names, net.v_slack_pu)]
+        flows += [flow_of_former(phases, names, former, *voltages) for former in self.formers]
         of = Loadings.of if site.rated else Loadings.none
-        supplies = [
+        self.supplies = [
             Supply.of(site, ((0, former),), flow, of(flow.phases))
-            for former, flow in zip(("", *formers), flows, strict=True)
+            for former, flow in zip(("", *self.formers), flows, strict=True)
         ]
-        return cls(site, formers, supplies)
-
-    @property
-    def flows(self) -> list[PhasedFlow]:
-        """Power flows of each supply."""
-        return [each.flow for each in self.supplies]
-
-    @property
-    def slopes(self) -> list[Slopes]:
-        """Slopes of each supply."""
-        return [each.slopes for each in self.supplies]
 
     @property
     def rated(self) -> tuple[str, ...]:
@@ -344,11 +325,10 @@ class PhasedModel:
         of_units = (known.kept_kw().sum(axis=1) for known in data.ahead.by_kind.values())
         found[:, 0] = sum(of_units, start=found[:, 0])
         place = {str(name): i for i, name in enumerate(self.site.batteries.id)}
-        headroom_kw = data.physics.headroom_kw
         for supply, steps in self._each(sources):
             for at, (_, former) in enumerate(supply.fed):
                 if former in place:
-                    found[steps, at] = headroom_kw[steps, place[former]]
+                    found[steps, at] = data.physics.headroom_kw[steps, place[former]]
         return found
 
     def formed(self, data: WindowData) -> Flags:
@@ -364,15 +344,6 @@ class PhasedModel:
     def limits_at(self, data: WindowData, lit: Flags) -> Flags:
         """Voltages that plans keep within limits in steps with power, (W, m): of parts with any."""
         return np.asarray(self.limited & lit[:, None] & ~data.parts.dead[:, self.at_bus])
-
-    @property
-    def n_measured(self) -> int:
-        """Voltages that have limits."""
-        return len(self.supplies[GRID].flow.measured[0])
-
-    def nothing(self, n_steps: int) -> Floats:
-        """Power of all assets at rest, (W, D)."""
-        return np.zeros((n_steps, len(self.supplies[GRID].flow.assets)))
 
     @cached_property
     def limited(self) -> Flags:
@@ -397,8 +368,6 @@ class PhasedModel:
         """Bus of the network of each asset, (D,)."""
         index = self.site.network.bus_index
         return np.array([index[bus] for bus in buses_of(self.site)], dtype=int)
-
-    # Set-points.
 
     def drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
         """Power of each asset in each step, (W, D) each, its former's own power left out."""
@@ -425,7 +394,6 @@ class PhasedModel:
         Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give. Of the units
         of a kind it is what they take in kW and give in kvar, nothing where it is not said.
         """
-        q_kvar = load_kw * self.site.customers.q_per_p
         nothing = {
             kind: np.zeros((*load_kw.shape[:-1], len(units)))
             for kind, units in self.site.kinds.items()
@@ -433,7 +401,8 @@ class PhasedModel:
         taken = [taken_kw.get(kind, none) for kind, none in nothing.items()]
         given = [given_kvar.get(kind, none) for kind, none in nothing.items()]
         p = np.concatenate([load_kw, -pv[0], -batteries[0], *taken], axis=-1)
-        q = np.concatenate([q_kvar, -pv[1], -batteries[1], *(-each for each in given)], axis=-1)
+        drawn_kvar = load_kw * self.site.customers.q_per_p
+        q = np.concatenate([drawn_kvar, -pv[1], -batteries[1], *(-each for each in given)], axis=-1)
         for one in np.unique(source):
             for device in self.devices(int(one)):
                 p[..., device] = np.where(source == one, 0.0, p[..., device])
@@ -450,9 +419,8 @@ class PhasedModel:
 
     def points(self, data: WindowData, p_kw: Floats, q_kvar: Floats, lit: Flags) -> PhasedPoints:
         """AC points of powers that assets draw, step by step; those that are not lit rest."""
-        W, m = data.n_steps, self.n_measured
-        sources = self.sources(data)
-        u = np.ones((W, m))
+        W, sources = data.n_steps, self.sources(data)
+        u = np.ones((W, len(self.at_bus)))
         kva: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
         currents: Complexes = np.zeros((W, len(self.rated)), dtype=complex)
         network = np.zeros((2, W, self.site.network.n_buses))
@@ -472,21 +440,14 @@ class PhasedModel:
                 network[:, t, supply.buses] = supply.beyond(found, p_kw[t], q_kvar[t])
         return PhasedPoints(u, kva, currents, network[0], network[1], converged)
 
-    def offsets(
-        self, data: WindowData, p_kw: Floats, q_kvar: Floats, points: PhasedPoints
-    ) -> tuple[Floats, Complexes]:
-        """Offsets that make the linear model meet the AC points: (W, m) and (W, K)."""
-        u, former = self.linear(data, p_kw, q_kvar)
-        return points.u_pu2 - u, points.source_kva - former
-
     def linear(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
         """Change of squared voltages (W, m) and of the sources' complex power (W, K) by powers."""
         W, sources = data.n_steps, self.sources(data)
-        u = np.zeros((W, self.n_measured))
+        u = np.zeros((W, len(self.at_bus)))
         former: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
         for supply, steps in self._each(sources):
-            own = slice(len(supply.forms))
-            u[steps], former[steps, own] = supply.slopes.changes(p_kw[steps], q_kvar[steps])
+            changes = supply.slopes.changes(p_kw[steps], q_kvar[steps])
+            u[steps], former[steps, : len(supply.forms)] = changes
         return u, former
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
@@ -503,15 +464,15 @@ class PhasedModel:
         u, currents = np.tile(grid.u_0, (W, 1)), np.tile(grid.current_0, (W, 1))
         former: Complexes = np.zeros((W, len(PHASES) * self._width(sources)), dtype=complex)
         for supply, steps in self._each(sources):
-            slopes = supply.slopes
-            u[steps], currents[steps] = slopes.u_0, slopes.current_0
-            former[steps, : len(supply.forms)] = np.where(supply.forms, slopes.former_0, 0.0)
+            u[steps], currents[steps] = supply.slopes.u_0, supply.slopes.current_0
+            at_rest = np.where(supply.forms, supply.slopes.former_0, 0.0)
+            former[steps, : len(at_rest)] = at_rest
         return u, former, currents
 
     def phase_kva(self, data: WindowData, kept_kva: Floats | float = 0.0) -> Floats:
         """Rating of each phase of the formers in each step, (W, K), less what is kept free."""
-        rating_kva = self.ratings_kva(data)
-        return np.repeat((rating_kva - kept_kva) / len(PHASES), len(PHASES), axis=1)
+        left_kva = self.ratings_kva(data) - kept_kva
+        return np.repeat(left_kva / len(PHASES), len(PHASES), axis=1)
 
 
 _KNOWN: OrderedDict[str, PhasedModel] = OrderedDict()
@@ -520,7 +481,7 @@ _KEPT = 16
 
 def phased_model(site: Site) -> PhasedModel:
     """The model of a site, made once for equal sites."""
-    found = _KNOWN.pop(site.key, None) or PhasedModel.of(site)
+    found = _KNOWN.pop(site.key, None) or PhasedModel(site)
     _KNOWN[site.key] = found
     while len(_KNOWN) > _KEPT:
         _KNOWN.popitem(last=False)

@@ -6,7 +6,7 @@ selection of them; see :mod:`vppres.solve.selection`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 
 import cvxpy as cp
@@ -16,7 +16,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
-from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.addition import AdditionDispatch
 from vppres.model.beyond_paper.former_phases import drawn_by_assets
 from vppres.model.beyond_paper.table import PROVEN, Beyond
 from vppres.model.constraints import Named
@@ -121,7 +121,12 @@ class Statement:
     def _with_additions(self, v: Variables, p: Parameters) -> Parameters:
         """The parameters with what additions set of them; what is added is summed."""
         for addition in self.additions:
-            for name, value in (*addition.parameters(self.site).items(), *self._at_buses(addition)):
+            added = [*addition.parameters(self.site).items()]
+            for taker, powers in addition.taken(self.site).items():
+                place = self.site.taking_bus[taker].T
+                pairs = zip(("P_added", "Q_added"), powers, strict=True)
+                added += [(letter, power @ place) for letter, power in pairs if power is not None]
+            for name, value in added:
                 before = getattr(p, name) if name.endswith("_added") else None
                 setattr(p, name, value if before is None else before + value)
         if self.site.phases:
@@ -129,20 +134,14 @@ class Statement:
             p.by_asset = drawn_by_assets(self.site, v, p, taken)
         return p
 
-    def _at_buses(self, addition: Addition) -> Iterator[tuple[str, cp.Expression]]:
-        """Power that an addition takes at the buses."""
-        for name, each in addition.taken(self.site).items():
-            place = self.site.taking_bus[name].T
-            for letter, power in zip(("P_added", "Q_added"), each, strict=True):
-                if power is not None:
-                    yield letter, power @ place
-
     def _own_names(self, paper: Named) -> tuple[str, ...]:
         """Families of the page and of additions without a proof in any stage, and their term."""
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
         named |= self._own_families
         for name, constraint in named.items():
-            if not _is_linear(constraint):
+            # Maxima and absolute values may stand in linear rows.
+            of_lines = all(side.is_pwl() for side in constraint.args)
+            if isinstance(constraint, cp.SOC) or not of_lines:
                 raise ModelError(
                     f"The family {name} is not linear. State it by linear rows, with variables of "
                     "its own where it needs any."
@@ -262,8 +261,3 @@ class Statement:
         """Give the letters the values of a solution, by their names."""
         for name, value in values.items():
             self.letters[name].save_value(value)
-
-
-def _is_linear(constraint: cp.Constraint) -> bool:
-    """Whether a constraint is one of linear rows, with maxima and absolute values at most."""
-    return not isinstance(constraint, cp.SOC) and all(each.is_pwl() for each in constraint.args)

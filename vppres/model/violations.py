@@ -16,6 +16,7 @@ from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.batteries.physics import power_beyond_kw
 from vppres.kinds.kind import Planned
 from vppres.kinds.table import KINDS
+from vppres.model.beyond_paper.lines_out import places_of
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
@@ -229,14 +230,7 @@ def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
     if parts.whole:
         return {}
     tolerance = power_tolerance_kw(site, data)
-    dead = {
-        name: at_items(parts.dead, place)
-        for name, place in (
-            ("customers", site.customer_bus),
-            ("pv", site.pv_bus),
-            ("batteries", site.battery_bus),
-        )
-    }
+    dead = {name: at_items(parts.dead, place) for name, place in places_of(site)}
     flows = np.hypot(d.p_flow_kw, d.q_flow_kvar)
     return {
         "lines that are out": _most(tolerance, flows[parts.lines]),

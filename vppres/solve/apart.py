@@ -100,11 +100,8 @@ def _shares(n_steps: int, limits: SolveLimits, deadline: Deadline) -> Iterator[S
     """
     for k in range(n_steps):
         share = min(SHARES / (n_steps - k), 1.0)
-        yield SolveLimits(
-            gap_rel=limits.gap_rel,
-            gap_abs=limits.gap_abs / n_steps,
-            time_s=max(share * deadline.left_s, LEAST_S),
-        )
+        time_s = max(share * deadline.left_s, LEAST_S)
+        yield replace(limits, gap_abs=limits.gap_abs / n_steps, time_s=time_s)
 
 
 def _joined(
@@ -116,6 +113,8 @@ def _joined(
     """
     objective = sum(step.objective for step in steps)
     bound = sum(step.bound for step in steps)
+    late = any(step.status == Status.TIME_LIMIT for step in steps)
+    not_met = Status.TIME_LIMIT if late else Status.GAP_OPEN
     losses = [step.loss_kw for step in steps if step.loss_kw is not None]
     return WindowSolution(
         dispatch=_one_dispatch([step.dispatch for step in steps]),
@@ -124,7 +123,7 @@ def _joined(
         ),
         objective=objective,
         bound=bound,
-        status=_status(steps, limits.met(bound, objective)),
+        status=Status.OPTIMAL if limits.met(bound, objective) else not_met,
         service_gap=sum(step.service_gap for step in steps),
         cost_gap_gbp=sum(step.cost_gap_gbp for step in steps),
         solve_s=deadline.spent_s,
@@ -132,14 +131,6 @@ def _joined(
         stages=tuple(stage for step in steps for stage in step.stages),
         loss_kw=np.concatenate(losses) if losses else None,
     )
-
-
-def _status(steps: Sequence[WindowSolution], met: bool) -> Status:
-    """Status of the whole window's dispatch."""
-    if met:
-        return Status.OPTIMAL
-    late = any(step.status == Status.TIME_LIMIT for step in steps)
-    return Status.TIME_LIMIT if late else Status.GAP_OPEN
 
 
 def _one_dispatch(parts: Sequence[Dispatch]) -> Dispatch:

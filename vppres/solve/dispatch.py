@@ -6,7 +6,7 @@ precision with the terms above it held (``docs/method.md``, *Lexicographic level
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
@@ -35,7 +35,7 @@ from vppres.solve.netting import eased_soc, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
-from vppres.solve.phases import near_to, with_more_room
+from vppres.solve.phases import MORE_ROOM, near_to
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import NO_ANSWER, run, run_conic, solve_by_highs
@@ -110,21 +110,6 @@ def dispatch_of(
     to find as the set. With ``keeps_turns`` there is no dispatch but with them; ``charges`` says
     which batteries charge where they waste energy, (W, B), in a window with phases. With ``fleet``
     the cost without the network is tried first, since most networks carry it.
-    """
-    ways = _ways(task, served, network, before, charges, keeps_turns, fleet)
-    return next((found for found in ways if found is not None), None)
-
-
-def _ways(
-    task: WindowTask,
-    served: Flags,
-    network: bool,
-    before: Dispatch | None,
-    charges: Flags | None,
-    keeps_turns: bool,
-    fleet: bool,
-) -> Iterator[Candidate | None]:
-    """The candidate of each way of ``dispatch_of``, in order; the ways end where a proof ends them.
 
     Where the network is not asked, and batteries would waste energy, their modes are left to what
     decides them with the service; those of next to no power waste next to nothing, whatever their
@@ -132,30 +117,28 @@ def _ways(
     tie-breakers take longer than all else, so that they are left to ``settle``.
     """
     if not network:
-        yield cheapest(task, served, modes_later=not task.site.batteries.idle)
-        return
+        return cheapest(task, served, modes_later=not task.site.batteries.idle)
     if task.by_rows:
         if charges is None and before is not None:
             charges = before.charge_kw > before.discharge_kw
-        deadline = task.answer_by(HALF)
         kept = before if keeps_turns else None
-        outcome, found = cheapest_by_rows(task, served, deadline, charges, kept)
-        yield found
-        if keeps_turns or (found is None and outcome.status == Status.INFEASIBLE):
-            return
+        outcome, found = cheapest_by_rows(task, served, task.answer_by(HALF), charges, kept)
+        if found or keeps_turns or outcome.status == Status.INFEASIBLE:
+            return found
     elif keeps_turns:
         found = _with_turns(task, before)
-        yield found and carried(task, found, tie_breakers)
-        return
+        return found and carried(task, found, tie_breakers)
     elif fleet and not task.sheet.statement.minds_network:
         found = cheapest(task, served, modes_later=before is not None)
         if before is not None and task.certificate.wasteful:
             found = _with_turns(task, before) or cheapest(task, served)
-        yield found and carried(task, found, tie_breakers)
         if found is None:
-            return
+            return None
+        in_network = carried(task, found, tie_breakers)
+        if in_network is not None:
+            return in_network
     found = cheapest(task, served, network=True)
-    yield found and carried(task, found)
+    return found and carried(task, found)
 
 
 def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
@@ -220,9 +203,10 @@ def cheapest(
     mostly ends at the same. They stay if the fleet's bound leaves no more of the cost open than a
     search for cost may.
     """
-    level = CostLevel.of(task, served, network, modes_later)
+    level = CostLevel(task, served, network, modes_later)
     if modes:
-        return replace(level, curtailed_gap_gbp=0.0).candidate(modes, -np.inf)
+        level.curtailed_gap_gbp = 0.0
+        return level.candidate(modes, -np.inf)
     if not network and sheet_of(task.cache, level.data).own_whole:
         fleet = fleet_problem(task.cache, level.data, lumped=True, integer=True, goal="dispatch")
         fleet.write(level.data, eased=True)
@@ -238,31 +222,25 @@ def cheapest(
     return level.candidate()
 
 
-@dataclass(frozen=True, eq=False)
 class CostLevel:
-    """Least cost of a supply schedule: a convex problem, with binaries only where it needs them."""
+    """Least cost of a supply schedule: a convex problem, with binaries only where it needs them.
 
-    task: WindowTask  #: the window
-    data: WindowData  #: the same with the demand that the schedule brings about
-    served: Flags  #: who is supplied, (W, C)
-    #: Whether the network is part of it: with discs as cones, or polygons in large windows and for
-    #: binaries.
-    network: bool
-    deadline: Deadline  #: when its solves must be done
-    #: What a search for modes may leave open where PV power is curtailed.
-    curtailed_gap_gbp: float
-    modes_later: bool  #: whether there is no dispatch where batteries waste energy
+    With the ``network`` discs are cones, or polygons in large windows and for binaries; with
+    ``modes_later`` there is no dispatch where batteries waste energy.
+    """
 
-    @classmethod
-    def of(
-        cls, task: WindowTask, served: Flags, network: bool = False, modes_later: bool = False
-    ) -> CostLevel:
-        """The level of a schedule; a large network may need long to find that there is none."""
-        deadline = task.answer_by(HALF if network else 1.0)
+    def __init__(
+        self, task: WindowTask, served: Flags, network: bool = False, modes_later: bool = False
+    ) -> None:
+        self.task = task
+        self.served = served
+        self.network = network
+        self.modes_later = modes_later
+        # A large network may need long to find that there is none.
+        self.deadline = task.answer_by(HALF if network else 1.0)
+        self.data = task.data.for_service(served)
         # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
-        gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
-        data = task.data.for_service(served)
-        return cls(task, data, served, network, deadline, gap_gbp, modes_later)
+        self.curtailed_gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
 
     def candidate(
         self, held: Mapping[str, Floats] = NOTHING, least_gbp: float | None = None
@@ -411,7 +389,10 @@ def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Ca
     allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
     rest_kwh = allowed / worth if worth > 0.0 else np.inf
     more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
-    data = with_more_room(found.data) if inside else found.data
+    data = found.data
+    if inside:
+        room_kva = (1.0 + MORE_ROOM) * data.phased.room_kva
+        data = replace(data, phased=replace(data.phased, room_kva=room_kva))
     sheet = sheet_of(task.cache, data)
     terms = evaluate(site, data, dispatch)
     # What the cost has besides is held by itself.

@@ -61,9 +61,10 @@ class Form:
 
 
 def select_form(sheet: Sheet, form: Form) -> Selection:
-    """The rows and terms of a form.
+    """The rows and terms of a form; the terms are scaled to numbers that solvers like.
 
-    A supply schedule meets the rules or does not, so a form of a set has no rows of them.
+    A supply schedule meets the rules or does not, so a form of a set has no rows of them. f4 and f5
+    are too small to be solved with the rest: the tie-breakers have them.
     """
     statement = sheet.statement
     names = in_order(sheet)
@@ -80,7 +81,12 @@ def select_form(sheet: Sheet, form: Form) -> Selection:
         found = with_discs(found, names, form.polygon)
     else:
         found = without_network(found, names)
-    return with_level(found, form.level)
+    w, cost = sheet.site.weights, form.level == "cost"
+    s = cost_scale(sheet.site) if cost else objective_scale(sheet.site)
+    f2, f3 = s * w.lambda_grid, s * w.lambda_curt
+    if cost:
+        return found.optimise(f2=f2, f3=f3, f7=-s, own=-s)
+    return found.optimise(True, f1=s, f6=-s, f2=-f2, f3=-f3, f7=s, own=s)
 
 
 def in_order(sheet: Sheet) -> list[str]:
@@ -128,22 +134,6 @@ def one_mode_at_a_time(sheet: Sheet) -> Family:
     charge, discharge = (sheet.family(name) for name in MODES)
     rows = charge.rows.plus(discharge.rows)
     return Family("battery_power", rows, MOST, charge.shape, ("P_ch", "P_dch"))
-
-
-def with_level(found: Selection, level: Level) -> Selection:
-    """The level's part of F, scaled to numbers that solvers like.
-
-    f4 and f5 are too small to be solved with the rest: the tie-breakers have them.
-    """
-    site = found.sheet.site
-    gbp = cost_scale(site)
-    w = site.weights
-    if level == "cost":
-        cost, curtailed = gbp * w.lambda_grid, gbp * w.lambda_curt
-        return found.optimise(f2=cost, f3=curtailed, f7=-gbp, own=-gbp)
-    s = objective_scale(site)
-    cost, curtailed = s * w.lambda_grid, s * w.lambda_curt
-    return found.optimise(True, f1=s, f6=-s, f2=-cost, f3=-curtailed, f7=s, own=s)
 
 
 def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:

@@ -504,10 +504,10 @@ class IsolatedSolver(WindowSolver):
     def _ask(self, method: str, data: WindowData, *args: Any, within_s: float = math.inf) -> Any:
         """Call a method of the solver in the other process."""
         task = Task(self._setup, method, (data, *args))
+        # What decides on the problems that it needs.
+        kind = method, data.n_steps, beyond_paper(self.site, data), data.moves is not None
         reply = self._from().ask(
-            task,
-            _kind(self.site, method, data),
-            lambda compiled: self.deadline_s(data, compiled, within_s),
+            task, kind, lambda compiled: self.deadline_s(data, compiled, within_s)
         )
         if reply.error is not None:
             raise reply.error
@@ -517,8 +517,3 @@ class IsolatedSolver(WindowSolver):
     def _from(self) -> Workers:
         """Context of new processes; another after a fork."""
         return self._workers or shared_workers()
-
-
-def _kind(site: Site, method: str, data: WindowData) -> tuple[object, ...]:
-    """Kind of a task, which decides on the problems that it needs."""
-    return method, data.n_steps, beyond_paper(site, data), data.moves is not None

@@ -12,13 +12,12 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolveError
-from vppres.model.data import WindowData
-from vppres.model.numerics import POLYGON_SIDES
-from vppres.model.own_state import giving_way, with_own_state
-from vppres.model.ratings import (
+from vppres.model.beyond_paper.ratings import (
     GIVEN,
     MOVED_SHARE,
     has_ratings,
@@ -26,8 +25,12 @@ from vppres.model.ratings import (
     with_ratings,
     with_ratings_given,
 )
+from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
+from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.site import Site
 from vppres.model.violations import broken
+from vppres.scenario.assets import SOC_ROUNDING
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
@@ -37,9 +40,9 @@ from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
     everyone_served,
+    keep_a_steady_set,
     with_modes_of_batteries,
 )
-from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.forms import sheet_of
 from vppres.solve.levels import service_then_cost
 from vppres.solve.longest_off import solve_with_limits
@@ -49,12 +52,11 @@ from vppres.solve.network.decide import (
     network_master,
 )
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
 from vppres.solve.sooner import as_good, is_settled, sooner
 from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 from vppres.solve.turns import one_at_a_time
-from vppres.solve.whole import with_binaries, without_binaries
+from vppres.solve.whole import least_slack, with_binaries, without_binaries
 
 METHODS = ("decomposed", "monolithic")
 
@@ -136,7 +138,7 @@ class WindowSolver:
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
         deadline = Deadline(self.limits.at_most(within_s).time_s)
-        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
+        *tighter, data = giving_way(self.site, _with_sound_soc(self.site, data))
         found = self._answer(tighter, data, deadline)
         # Most windows exceed no rating. Where there is no answer within them, they give way.
         for share in GIVEN if self.site.rated else ():
@@ -185,7 +187,7 @@ class WindowSolver:
         and stays if it breaks none of the tighter limits. With rows of phases a schedule gets them
         only here, and the last part of the time is theirs.
         """
-        settles = bool(data.phased) and not self._differs(data)
+        settles = bool(data.phased) and not sheet_of(self.cache, data).statement.differs
         limits = self.limits.at_most(deadline.left_s)
         found = self._decided(data, limits.within(1.0 - NETWORK_RESERVE) if settles else limits)
         found = self._sooner(data, found, deadline)
@@ -211,8 +213,7 @@ class WindowSolver:
         if task.is_large:
             return found
         for other in sooner(task, served, found.terms, task.deadline.part(COST_SHARE)):
-            limits = self.limits.at_most(deadline.left_s)
-            kept = self._served(data, limits, other)
+            kept = self._served(data, self.limits.at_most(deadline.left_s), other)
             if kept is not None and as_good(self.site, kept.terms, found.terms):
                 stages = (*task.certificate.stages, *kept.stages)
                 better = found.carried_by(kept.after(found), *stages)
@@ -221,7 +222,7 @@ class WindowSolver:
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """The best supply schedule of a window."""
-        if self.method != "decomposed" or self._differs(data):
+        if self.method != "decomposed" or sheet_of(self.cache, data).statement.differs:
             return self._solve(data, limits)
         if data.limits_time_off:
             return solve_with_limits(data, limits, self._decided, self._solve)
@@ -229,17 +230,12 @@ class WindowSolver:
             return solve_apart(data, limits, self._solve)
         return self._solve(data, limits)
 
-    def _differs(self, data: WindowData) -> bool:
-        """Whether the page differs from the paper's."""
-        return bool(sheet_of(self.cache, data).statement.differs)
-
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
         if self.method == "decomposed":
             climb(task)
-            if task.data.switching is not None and not task.certificate.answered:
-                keep_a_steady_set(task)
+            keep_a_steady_set(task)
             if worth_an_answer(task):
                 without_binaries(task)
         if worth_the_whole(task):
@@ -262,7 +258,7 @@ class WindowSolver:
         than ``within_s``, or its limit where that is less.
         """
         deadline = Deadline(self.limits.at_most(within_s).time_s)
-        sound = data.with_sound_soc(self.site.batteries)
+        sound = _with_sound_soc(self.site, data)
         found = None
         for each in giving_way(self.site, sound):
             limits = self.limits.at_most(deadline.left_s)
@@ -319,7 +315,7 @@ class WindowSolver:
 
         It takes no longer than ``within_s``, or its limit where that is less.
         """
-        sound = data.with_sound_soc(self.site.batteries)
+        sound = _with_sound_soc(self.site, data)
         if self.method != "decomposed" or sound.limits_time_off:
             return math.inf
         task = self._task(sound, self.limits.at_most(within_s))
@@ -344,7 +340,17 @@ class WindowSolver:
 
     def _task(self, data: WindowData, limits: SolveLimits) -> WindowTask:
         """A window whose time begins now."""
-        return WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
+        return WindowTask(data, self.cache, limits, self.spec, self.sides)
+
+
+def _with_sound_soc(site: Site, data: WindowData) -> WindowData:
+    """The window with states of charge at their limits that miss them by rounding.
+
+    A state outside leaves a battery that may not move no dispatch, however little it is.
+    """
+    inside = np.clip(data.soc, site.batteries.soc_min, site.batteries.soc_max)
+    rounding = np.abs(data.soc - inside) <= SOC_ROUNDING
+    return replace(data, soc=np.where(rounding, inside, data.soc))
 
 
 def _dims_more(found: Dispatch, before: Dispatch, site: Site) -> bool:
@@ -363,7 +369,7 @@ def climb(task: WindowTask) -> None:
     """
     require_bounds(task)
     everyone = worth_everyone(task)
-    plain = not task.data.physical and task.data.switching is None
+    plain = not task.data.physics and task.data.switching is None
     at_once = has_ratings(task.data) or (task.is_wide and not task.data.parts.whole)
     at_once = at_once or (plain and (task.is_huge or (task.is_wide and not everyone)))
     master = network_master(task) if at_once else None
@@ -377,14 +383,6 @@ def climb(task: WindowTask) -> None:
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
     enter_network(task, master)
-
-
-def keep_a_steady_set(task: WindowTask) -> None:
-    """An answer by rule, if switching rules left the searches none in their time."""
-    for served in steady_sets(task.data):
-        keep_dispatch(task, served, network=True)
-        if task.certificate.answered:
-            return
 
 
 def worth_everyone(task: WindowTask) -> bool:

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.ratings import FAMILY
+from vppres.model.beyond_paper.ratings import FAMILY, limit_kva
 from vppres.model.data import WindowData
-from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows
@@ -31,25 +29,13 @@ leaves of a row. Each kW beyond a rating saves PV power that would be curtailed:
 dispatch's check allows moves the objective by 2e-4."""
 
 
-class Limits(Protocol):
-    """Limits of a window, as rows on a problem's columns with a least value each."""
-
-    @property
-    def near(self) -> Sequence[Rows]:
-        """Rows that a problem has from the start."""
-
-    def exceeded(self, x: Floats) -> Sequence[Rows]:
-        """Rows of limits that a solution exceeds by more than a dispatch may."""
-
-
 @dataclass(frozen=True, eq=False)
 class FlowLimits:
-    """Ratings of a balanced feeder's lines.
+    """Ratings of a balanced feeder's lines, which no problem has from the start.
 
     A row is a tangent of a line's disc, so that what has some of them is a relaxation.
     """
 
-    site: Site
     data: WindowData
     problem: Selected
 
@@ -70,8 +56,8 @@ class FlowLimits:
         return [Rows.of(columns, tangents, -1.0, np.inf, len(x))]
 
 
-def limits_of(site: Site, data: WindowData, problem: Selected) -> Limits | None:
-    """Limits that a problem does not state.
+def limits_of(site: Site, data: WindowData, problem: Selected) -> PhaseLimits | FlowLimits | None:
+    """Limits that a problem does not state, as rows on its columns with a least value each.
 
     None where the window has none, and where the problem has no network.
     """
@@ -79,7 +65,7 @@ def limits_of(site: Site, data: WindowData, problem: Selected) -> Limits | None:
         return PhaseLimits(site, data, problem)
     stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
     limited = len(data.flow_max_kva) and not stated
-    return FlowLimits(site, data, problem) if limited else None
+    return FlowLimits(data, problem) if limited else None
 
 
 def run_within_limits(

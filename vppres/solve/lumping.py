@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.numerics import SAME
-from vppres.solve.linear import Linear
+from vppres.solve.compiled import Linear
 from vppres.solve.selection import MOST, Family, Sheet
 
 DIGITS = 14
@@ -151,7 +151,8 @@ class Lumping:
             part = sp.csr_array(by[number * k : (number + 1) * k])
             columns[number], signs[number] = self._range(name, int(columns[number]), part)
         first = sp.csr_array(by[np.arange(len(blocks)) * k])
-        one = _constants(signs, self.sheet.width - 1, rows.by.shape[1])
+        places = np.arange(len(signs)), np.full(len(signs), self.sheet.width - 1)
+        one = sp.csr_array((signs, places), shape=(len(signs), rows.by.shape[1]))
         new = sp.csr_array(
             sp.diags_array(uniform.astype(float)) @ first
             + sp.diags_array((~uniform).astype(float)) @ one
@@ -245,13 +246,6 @@ def _uniform(by: sp.csr_array, blocks: int, k: int, last: int) -> Flags:
     size = np.abs(constant).max(axis=1, initial=0.0)
     same: Flags = alone & (np.ptp(constant, axis=1) <= SAME * size)
     return same
-
-
-def _constants(values: Floats, last: int, width: int) -> sp.csr_array:
-    """Entries that no parameter changes."""
-    count = len(values)
-    places = (np.arange(count), np.full(count, last))
-    return sp.csr_array((values, places), shape=(count, width))
 
 
 def eliminated(

@@ -8,7 +8,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.stored_value import left_kwh
+from vppres.model.beyond_paper.at_end import left_kwh
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries

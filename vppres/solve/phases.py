@@ -261,9 +261,3 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     bound = phased.bound | binding(model, limited, room)
     kva = phased.former_offset + former
     return replace(data, phased=replace(phased, bound=bound, former_kva=kva))
-
-
-def with_more_room(data: WindowData) -> WindowData:
-    """The window with a little more room on the former's phases, if it has any."""
-    phased = data.phased
-    return replace(data, phased=replace(phased, room_kva=(1.0 + MORE_ROOM) * phased.room_kva))

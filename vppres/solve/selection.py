@@ -26,8 +26,7 @@ from vppres.model.data import WindowData
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.model.statement import Statement
-from vppres.solve.compiled import Affine, Numbers, affine, checked, joined
-from vppres.solve.linear import Linear
+from vppres.solve.compiled import Affine, Linear, Numbers, affine, checked, joined
 
 ORDER = (
     "battery_charge_mode",
@@ -360,6 +359,41 @@ class Selection:
         there = [name for name in dict.fromkeys(used) if self.sheet.columns[name].size]
         return sorted(there, key=lambda name: name in self.held)
 
+    def columns(self, limits_first: bool) -> list[str]:
+        """Letters that are columns; those with limits come before the others if these are rows."""
+        letters = [name for name in self.letters if name not in self.held]
+        if not limits_first:
+            return letters
+        first = {*self.squares, *(name for term, _ in self.terms for name in term.letters)}
+        limited = {name for name in letters if np.isfinite(self.limits_of(name)[0]).any()}
+        return sorted(letters, key=lambda name: 0 if name in first else 2 - (name in limited))
+
+    def limits_of(self, name: str) -> tuple[Floats, Floats]:
+        """Limits of a letter's columns."""
+        columns = _flat(self.sheet.columns[name])
+        if name in self.relaxed:
+            low, high = self.relaxed[name]
+            return np.full(len(columns), low), np.full(len(columns), high)
+        return self.sheet.lower[columns], self.sheet.upper[columns]
+
+    def limits_as_rows(self) -> Family:
+        """Limits of columns as rows, letter by letter."""
+        columns, signs, limits = [], [], []
+        for name in self.letters:
+            if name in self.held:
+                continue
+            place = _flat(self.sheet.columns[name])
+            for sign, limit in zip((-1.0, 1.0), self.limits_of(name), strict=True):
+                there = np.isfinite(limit)
+                columns.append(place[there])
+                signs.append(np.full(there.sum(), sign))
+                limits.append(sign * limit[there])
+        column = np.concatenate(columns)
+        entries = (np.concatenate(signs), (np.arange(len(column)), column))
+        matrix = sp.coo_array(entries, shape=(len(column), self.sheet.size))
+        rows = Linear.constant(matrix, np.concatenate(limits), self.sheet.width)
+        return Family("limits of columns", rows, MOST, (len(column),), ())
+
 
 class Selected:
     """A selection as a problem: what of it stays the same, and how its numbers are written.
@@ -406,11 +440,6 @@ class Selected:
         """The statement that it is a selection of."""
         return self.sheet.statement
 
-    @property
-    def maximises(self) -> bool:
-        """Whether its objective is maximised."""
-        return self.selection.maximises
-
     def compile(self) -> None:
         """Compose it, if it is not yet."""
         if self.is_compiled:
@@ -419,8 +448,11 @@ class Selected:
         ranked = {kind: [p for p in selection.parts if p.kind == kind] for kind in (EQUAL, MOST)}
         cones = [part for part in selection.parts if part.kind == CONE]
         self._keep_columns()
-        bounds = [self._bound_rows()] if self.conic else []
-        T = self._selector()
+        bounds = [selection.limits_as_rows()] if self.conic else []
+        # From all columns, and the limits behind them, to those of the problem.
+        size = len(self._global)
+        places = (np.append(self._global, self.sheet.size), np.arange(size + 1))
+        T = sp.csr_array((np.ones(size + 1), places), shape=(self.sheet.size + 1, size + 1))
         self.parts = [*ranked[EQUAL], *bounds, *ranked[MOST], *cones]
         stacked = [self._ready(part) for part in self.parts]
         rows = Linear.stacked(stacked).times(sp.eye_array(sum(r.shape[0] for r in stacked)), T)
@@ -446,63 +478,19 @@ class Selected:
         """Letters in the solver's order, with their limits and which are whole numbers."""
         sheet = self.sheet
         selection = self.selection
-        letters = selection.letters
-        held = [name for name in letters if name in selection.held]
-        letters = letters[: len(letters) - len(held)]
-        if self.conic:
-            # Limits are the first rows, and so their letters come before the others.
-            in_terms = {name for term, _ in selection.terms for name in term.letters}
-            first = [n for n in letters if n in in_terms or n in selection.squares]
-            limited = [n for n in letters if n not in first]
-            limited = [n for n in limited if np.isfinite(self._limits(n)[0]).any()]
-            free = [n for n in letters if n not in first and n not in limited]
-            letters = [*first, *limited, *free]
+        held = [name for name in selection.letters if name in selection.held]
+        letters = selection.columns(limits_first=self.conic)
         places = [sheet.columns[name] for name in (*letters, *held)]
         self._global = np.concatenate([np.zeros(0, dtype=np.int64), *(_flat(p) for p in places)])
         starts = np.cumsum([0, *(place.size for place in places)])
         self.first = {name: int(at) for name, at in zip(letters, starts, strict=False)}
         self._held = held
-        lower, upper = ([self._limits(name)[k] for name in letters] for k in (0, 1))
+        lower, upper = ([selection.limits_of(name)[k] for name in letters] for k in (0, 1))
         self.x_lower = np.concatenate([np.zeros(0), *lower])
         self.x_upper = np.concatenate([np.zeros(0), *upper])
         self.binaries = [n for n in letters if sheet.whole[n] and n not in selection.relaxed]
-        whole = self.binaries
-        self.whole = np.concatenate(
-            [np.zeros(0, dtype=np.int64), *(_flat(self.at(name)) for name in whole)]
-        )
-
-    def _limits(self, name: str) -> tuple[Floats, Floats]:
-        """Limits of a letter's columns."""
-        columns = _flat(self.sheet.columns[name])
-        if name in self.selection.relaxed:
-            low, high = self.selection.relaxed[name]
-            return np.full(len(columns), low), np.full(len(columns), high)
-        return self.sheet.lower[columns], self.sheet.upper[columns]
-
-    def _selector(self) -> sp.csr_array:
-        """From all columns, and the limits behind them, to those of the problem."""
-        size = len(self._global)
-        places = (np.append(self._global, self.sheet.size), np.arange(size + 1))
-        return sp.csr_array((np.ones(size + 1), places), shape=(self.sheet.size + 1, size + 1))
-
-    def _bound_rows(self) -> Family:
-        """Limits of columns as rows, letter by letter."""
-        columns, signs, limits = [], [], []
-        for name in self.selection.letters:
-            if name in self.selection.held:
-                continue
-            place = _flat(self.sheet.columns[name])
-            for sign, limit in zip((-1.0, 1.0), self._limits(name), strict=True):
-                there = np.isfinite(limit)
-                columns.append(place[there])
-                signs.append(np.full(there.sum(), sign))
-                limits.append(sign * limit[there])
-        column = np.concatenate(columns)
-        size = self.sheet.size
-        entries = (np.concatenate(signs), (np.arange(len(column)), column))
-        matrix = sp.coo_array(entries, shape=(len(column), size))
-        rows = Linear.constant(matrix, np.concatenate(limits), self.sheet.width)
-        return Family("limits of columns", rows, MOST, (len(column),), ())
+        whole = (_flat(self.at(name)) for name in self.binaries)
+        self.whole = np.concatenate([np.zeros(0, dtype=np.int64), *whole])
 
     def _keep_rows(self, rows: Linear) -> None:
         """The pattern of the rows, and the map from parameters to their numbers.
@@ -563,7 +551,9 @@ class Selected:
         self.compile()
         rows = copy(self._pattern)
         rows.data = self._entries @ self.values
-        held = self._held_values()
+        shapes = ((name, self.sheet.columns[name].shape) for name in self._held)
+        of_held = (_flat(np.broadcast_to(self.held[name], shape)) for name, shape in shapes)
+        held = np.concatenate([np.zeros(0), *of_held])
         limits = copy(self._limits_by)
         limits.data = limits.data * np.append(-held, 1.0)[self._limits_of]
         limit = np.asarray(limits @ self.values)
@@ -572,7 +562,7 @@ class Selected:
                 limit[self.rows_of[name]] += np.ravel(value, order="F")
         cost = np.zeros(len(self._global))
         offset = 0.0
-        sign = -1.0 if self.maximises else 1.0
+        sign = -1.0 if self.selection.maximises else 1.0
         for name, term in self._terms.items():
             entries = sign * self.factors[name] * (term.by @ self.values)
             inside = term.column < len(cost)
@@ -615,15 +605,6 @@ class Selected:
     def shown(self, rows: sp.csr_array) -> sp.csr_array:
         """Rows on its columns as the solver has these."""
         return rows
-
-    def _held_values(self) -> Floats:
-        """Values of the columns that are held, one after the other."""
-        shapes = [self.sheet.columns[name].shape for name in self._held]
-        values = [
-            _flat(np.broadcast_to(self.held[name], shape))
-            for name, shape in zip(self._held, shapes, strict=True)
-        ]
-        return np.concatenate([np.zeros(0), *values])
 
     @cached_property
     def _absent(self) -> dict[str, Floats]:
@@ -678,7 +659,7 @@ class Selected:
         n = self._numbers
         assert n is not None
         least = float(n.cost @ x + n.squares.diagonal() @ (x * x) / 2.0) + self.offset
-        self.value = -least if self.maximises else least
+        self.value = -least if self.selection.maximises else least
         self.x = x
         within = np.clip(x, self.x_lower, self.x_upper)
         within[self.whole] = np.round(within[self.whole])

@@ -120,24 +120,13 @@ def find_solver(name: str) -> SolverSpec:
     False
     """
     spec = SOLVERS.get(name)
+    if spec is not None and spec.installed:
+        return spec
     ready = ", ".join(s.name for s in SOLVERS.values() if s.installed)
-    if spec is None:
-        raise InputError.of(
-            "options",
-            f"is not a known solver ({', '.join(SOLVERS)})",
-            f"Installed here: {ready}.",
-            field="solver",
-            value=name,
-        )
-    if not spec.installed:
-        raise InputError.of(
-            "options",
-            "is not installed",
-            f"Install it, or use one of: {ready}.",
-            field="solver",
-            value=name,
-        )
-    return spec
+    wrong, cure = f"is not a known solver ({', '.join(SOLVERS)})", f"Installed here: {ready}."
+    if spec is not None:
+        wrong, cure = "is not installed", f"Install it, or use one of: {ready}."
+    raise InputError.of("options", wrong, cure, field="solver", value=name)
 
 
 def run(
@@ -200,7 +189,7 @@ def solve_by_highs(
     if not found.status.has_answer:
         return Outcome(found.status, np.nan, np.nan, watch.spent_s, DIRECT)
     selected.put(found.x)
-    sign = -1.0 if selected.maximises else 1.0
+    sign = -1.0 if selected.selection.maximises else 1.0
     value, bound = (sign * (each + selected.offset) for each in (found.value, found.bound))
     return Outcome(found.status, value, bound, watch.spent_s, DIRECT)
 
@@ -259,7 +248,7 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
         matrix, at_least = selected.added
         rows.append(selected.shown(matrix) @ x >= at_least)
     cost = numbers.cost @ x + numbers.offset
-    sense = cp.Maximize(-cost) if selected.maximises else cp.Minimize(cost)
+    sense = cp.Maximize(-cost) if selected.selection.maximises else cp.Minimize(cost)
     return cp.Problem(sense, rows), x
 
 

@@ -71,7 +71,7 @@ def is_settled(site: Site, data: WindowData, served: Flags) -> bool:
     by none of that weight in another such step.
     """
     limited = np.isfinite(data.grid_limit_kw)
-    silent = data.physical or data.open_ended  # the paper is, on which of equal plans is taken
+    silent = bool(data.physics) or data.open_ended  # the paper is, on which of equal plans is taken
     if not silent or served[limited].all():
         return True
     before = data.on_before

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Flags
-from vppres.model.beyond_paper.stored_value import kept_range
+from vppres.model.beyond_paper.at_end import kept_range
+from vppres.model.beyond_paper.ratings import has_ratings
 from vppres.model.data import WindowData
-from vppres.model.ratings import has_ratings
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
@@ -38,29 +37,26 @@ GRACE_S_PER_BUS = 1.4e-3
 window in which time ran out during the search still gets the dispatch of the set that was found."""
 
 
-@dataclass(frozen=True, eq=False)
 class WindowTask:
-    """Shared state of the stages of a window: data, limits, certificate and found sets."""
+    """Shared state of the stages of a window, whose time begins now.
 
-    data: WindowData  #: the window
-    cache: ModelCache  #: compiled problems of the site
-    limits: SolveLimits  #: gaps and time limit
-    spec: SolverSpec  #: solver of the problems that follow the choice of a solver
-    sides: int  #: sides of the inverters' polygons in problems with binaries, 0 for cones
-    deadline: Deadline  #: when the window's time limit is reached
-    certificate: Certificate  #: what is known so far
-    #: Those without the network by whether they lump the fleet, each made once.
-    masters: dict[bool, Any] = field(default_factory=dict)
+    ``spec`` is the solver of the problems that follow the choice of a solver, and ``sides`` are
+    those of the inverters' polygons in problems with binaries, 0 for cones.
+    """
 
-    @classmethod
-    def begin(
-        cls, data: WindowData, cache: ModelCache, limits: SolveLimits, spec: SolverSpec, sides: int
-    ) -> WindowTask:
-        """A window whose time begins now."""
-        site = cache.site
-        cost = CostRange.of(site, data)
-        certificate = Certificate(limits, site.weights.lambda_grid, cost)
-        return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
+    def __init__(
+        self, data: WindowData, cache: ModelCache, limits: SolveLimits, spec: SolverSpec, sides: int
+    ) -> None:
+        self.data = data
+        self.cache = cache
+        self.limits = limits
+        self.spec = spec
+        self.sides = sides
+        cost = CostRange.of(cache.site, data)
+        self.certificate = Certificate(limits, cache.site.weights.lambda_grid, cost)
+        self.deadline = Deadline(limits.time_s)
+        #: Those without the network by whether they lump the fleet, each made once.
+        self.masters: dict[bool, Any] = {}
 
     @property
     def site(self) -> Site:
@@ -212,5 +208,5 @@ class WindowTask:
             solve_s=self.deadline.spent_s,
             solver_s=known.solver_s,
             stages=tuple(known.stages),
-            loss_kw=self.data.network_kw if self.data.physical or self.data.drawn else None,
+            loss_kw=self.data.network_kw if self.data.physics or self.data.drawn else None,
         )

@@ -41,7 +41,9 @@ class LinesOut(Addition):
         W = v.u.shape[0]
         self.lines, buses = (np.array(each, dtype=int) for each in shape)
         dead = np.isin(np.arange(site.network.n_buses), buses)
-        items = {name: np.flatnonzero(at_items(dead[None], place)) for name, place in _places(site)}
+        items = {
+            name: np.flatnonzero(at_items(dead[None], place)) for name, place in places_of(site)
+        }
         self.items = {name: which for name, which in items.items() if len(which)}
         self.out = cp.Parameter((W, len(self.lines)), name="out", nonneg=True)
         self.P_over = cp.Variable((W, len(self.lines)), name="P_over")
@@ -93,13 +95,13 @@ class LinesOut(Addition):
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's parts."""
         write(self.out, data.parts.lines[:, self.lines].astype(float))
-        for name, place in _places(site):
+        for name, place in places_of(site):
             if name in self.items:
                 dead: Flags = at_items(data.parts.dead, place)[:, self.items[name]]
                 write(self.lit[name], 1.0 - dead)
 
 
-def _places(site: Site) -> list[tuple[str, sp.csr_array]]:
+def places_of(site: Site) -> list[tuple[str, sp.csr_array]]:
     """Buses of customers, PV systems and batteries."""
     return [
         ("customers", site.customer_bus),

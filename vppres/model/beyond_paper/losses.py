@@ -164,7 +164,7 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
     the next plan moves.
     """
     old = data.physics
-    margin = 1.0 + LOSS_MARGIN * data.lines_in_island
+    margin = 1.0 + LOSS_MARGIN * data.in_island[:, 1:]
     sound = points.converged[:, None]
     drawn = data.drawn
     if network.draws or network.has_ratios:

@@ -56,7 +56,7 @@ class PhysicalMode(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether the window is physical."""
-        return data.physical or None
+        return bool(data.physics) or None
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
@@ -81,7 +81,11 @@ class PhysicalMode(Addition):
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """The voltage held where it is, and batteries less their headroom."""
-        return self._voltages(site, v) | (self._headroom(v) if len(site.batteries) else {})
+        rows = self._voltages(site, v)
+        if len(site.batteries):
+            rows["headroom_charge"] = v.P_batt <= self.P_room
+            rows["headroom_discharge"] = -v.P_batt <= self.P_room
+        return rows
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Headroom of batteries whose modes exclude each other."""
@@ -98,13 +102,6 @@ class PhysicalMode(Addition):
             "voltage_reference": held == u_held,
             "root_voltage_min": v.u[:, 0] >= self.u_root_min,
             "root_voltage_max": v.u[:, 0] <= self.u_root_max,
-        }
-
-    def _headroom(self, v: Variables) -> Named:
-        """Active power less the headroom, in both directions."""
-        return {
-            "headroom_charge": v.P_batt <= self.P_room,
-            "headroom_discharge": -v.P_batt <= self.P_room,
         }
 
 

@@ -11,14 +11,12 @@ from vppres.kinds.customer.rows import DimmedDemand, LongestTimeOff, SwitchingMo
 from vppres.kinds.export.rows import ExportToGrid
 from vppres.kinds.table import parts
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.beyond_paper.beyond_limit import BeyondLimit
-from vppres.model.beyond_paper.drawn import DrawnByNetwork
+from vppres.model.beyond_paper.at_end import HeldAtEnd, ValueAtEnd
+from vppres.model.beyond_paper.drawn import BeyondLimit, DrawnByNetwork
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.ratings import LineRatings
-from vppres.model.beyond_paper.stored_value import ValueAtEnd
-from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.beyond_paper.unspent import StoredIsKept
 from vppres.model.data import WindowData
 from vppres.model.site import Site

@@ -18,7 +18,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.beyond_paper.beyond_limit import beyond_limit_kw
+from vppres.model.beyond_paper.drawn import beyond_limit_kw
 from vppres.model.constraints import Named
 from vppres.model.data import Unspent, WindowData
 from vppres.model.numerics import write
@@ -46,17 +46,13 @@ def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) ->
     lost_kw = _beyond_inverters_kw(site, data)
     taken_kw = (plan.charge_kw - plan.discharge_kw).sum(axis=1) - plan.p_grid_kw
     left_kw = plan.pv_curtailed_kw.sum(axis=1) - lost_kw + taken_kw + network_kw - data.network_kw
-    enough = left_kw > np.where(data.dark, 0.0, _most_sold_kw(data))
+    sold_kw = data.export.limit_kw if data.export else np.zeros(data.n_steps)
+    enough = left_kw > np.where(data.dark, 0.0, sold_kw)
     most_kw = np.tile(site.batteries.p_max_kw, (data.n_steps, 1))
     return Unspent(
         np.where(enough[:, None], 0.0, most_kw),
         np.where(data.dark & ~enough, lost_kw, data.pv_kw.sum(axis=1)),
     )
-
-
-def _most_sold_kw(data: WindowData) -> Floats:
-    """Largest export that the grid takes back, (W,)."""
-    return np.zeros(data.n_steps) if not data.export else data.export.limit_kw
 
 
 def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:

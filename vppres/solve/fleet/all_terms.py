@@ -10,10 +10,11 @@ from functools import partial
 from vppres.core.errors import InputError
 from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import keep_dispatch
-from vppres.solve.fleet.masters import fleets_of, search_for_set
+from vppres.solve.fleet.masters import fleets_of
 from vppres.solve.fleet.relaxation import fleet_of, fleet_problem
-from vppres.solve.programs import GAP_SHARE
+from vppres.solve.programs import GAP_SHARE, search_options
 from vppres.solve.result import Status
+from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
 
 
@@ -79,8 +80,8 @@ def _search(task: WindowTask, lumped: bool, gap: float) -> bool:
     problem.write(task.data)
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
-    time_s = task.search.left_s
-    outcome = search_for_set(problem, task.data, task.spec, gap, time_s, scale, first)
+    options = search_options(task.site, task.data)
+    outcome = run(problem, task.spec, gap, task.search.left_s, scale, options, first)
     if not known.learn("aggregate", outcome):
         return False
     keep_dispatch(task, problem.value_of("x_served") > 0.5)

@@ -34,7 +34,7 @@ from vppres.solve.programs import (
     search_options,
 )
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import SolverSpec, run
+from vppres.solve.solvers import run
 from vppres.solve.task import WindowTask
 
 AS_IT_IS = MappingProxyType({"presolve": "off"})
@@ -87,7 +87,7 @@ class Master(Relaxation):
         if not self.data.keeps_service:
             open_units = max(WHOLE_GAP, open_units)
         left_s = self.deadline.left_s
-        outcome = search_for_set(problem, self.data, self.spec, open_units, left_s)
+        outcome = run(problem, self.spec, open_units, left_s, more=self._of_sets)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=min(float(np.floor(outcome.bound + SOLVED)), most))
@@ -112,6 +112,11 @@ class Master(Relaxation):
         """Options of HiGHS for linear problems, and for searches for a cheaper schedule."""
         return AS_IT_IS if self.lumped and self.data.load_kw.size > MANY else {}
 
+    @property
+    def _of_sets(self) -> Mapping[str, Any]:
+        """Options of HiGHS for searches for sets."""
+        return search_options(self.site, self.data)
+
     def _carries(self, problem: FleetProblem, served: Flags, units: float) -> bool:
         """Whether the fleet carries a set that is worth so many units."""
         problem.hold(served)
@@ -128,10 +133,8 @@ class Master(Relaxation):
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units."""
         problem = self._with_units(units_min, everyone, integer=True)
-        more = {**self._options, "mip_max_nodes": NODES}
-        outcome = search_for_set(
-            problem, self.data, self.spec, gap_gbp, deadline.left_s, first=self.best, more=more
-        )
+        more = {**self._of_sets, **self._options, "mip_max_nodes": NODES}
+        outcome = run(problem, self.spec, gap_gbp, deadline.left_s, more=more, first=self.best)
         return outcome, set_of(problem, outcome)
 
     def keep(self, served: Flags) -> None:
@@ -149,24 +152,6 @@ class Master(Relaxation):
 def set_of(problem: FleetProblem, outcome: Outcome) -> Flags | None:
     """Customers that the last answer serves."""
     return problem.value_of("x_served") > 0.5 if outcome.status.has_answer else None
-
-
-def search_for_set(
-    problem: FleetProblem,
-    data: WindowData,
-    spec: SolverSpec,
-    gap_abs: float,
-    time_s: float,
-    scale: float = 1.0,
-    first: Flags | None = None,
-    more: Mapping[str, Any] = MappingProxyType({}),
-) -> Outcome:
-    """How a search for a set ended that begins with a known one, where there is any.
-
-    ``scale`` is a factor in the problem's objective as in ``run``.
-    """
-    options = {**search_options(problem.fleet.site, data), **more}
-    return run(problem, spec, gap_abs, time_s, scale, options, first)
 
 
 def master_of(task: WindowTask, lumped: bool) -> Master | None:

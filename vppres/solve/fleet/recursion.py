@@ -132,14 +132,10 @@ def fewest_lost(
         energy_kwh = best_kwh
         chosen.append(way)
     carried = np.flatnonzero(np.isfinite(energy_kwh))
-    return _traced(losses, chosen, int(carried[0])) if len(carried) else None
-
-
-def _traced(losses: Sequence[Losses], chosen: Sequence[Wholes], lost: int) -> list[int]:
-    """The way of each step that led to so many lost units."""
-    ways = []
-    for step, way in zip(reversed(losses), reversed(chosen), strict=True):
-        number = int(way[lost])
-        ways.append(number)
-        lost -= int(step.units[number])
-    return ways[::-1]
+    if not len(carried):
+        return None
+    lost, taken = int(carried[0]), []
+    for ways, way in zip(reversed(losses), reversed(chosen), strict=True):
+        taken.append(int(way[lost]))
+        lost -= int(ways.units[taken[-1]])
+    return taken[::-1]

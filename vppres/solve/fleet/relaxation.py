@@ -26,8 +26,8 @@ from vppres.model.parts import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
+from vppres.solve.compiled import Linear
 from vppres.solve.forms import MODES, OF_PV, one_mode_at_a_time, sheet_of, total_balance
-from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.netting import eased_soc
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
@@ -485,13 +485,14 @@ def weight_grid(weights: Floats) -> float:
     >>> weight_grid(np.array([1.0, 0.1, 0.02]))
     0.02
     """
-    parts = [Fraction(float(w)).limit_denominator(MOST_PARTS) for w in np.unique(weights) if w > 0]
+    positive = [float(w) for w in np.unique(weights) if w > 0]
+    parts = [Fraction(w).limit_denominator(MOST_PARTS) for w in positive]
     if not parts:
         return 0.0
     common = math.lcm(*(part.denominator for part in parts))
     unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
     exact = all(
         math.isclose(float(part), w, rel_tol=SAME, abs_tol=SAME)
-        for part, w in zip(parts, [w for w in np.unique(weights) if w > 0], strict=True)
+        for part, w in zip(parts, positive, strict=True)
     )
     return float(unit) if exact and max(parts) / unit <= MOST_UNITS else 0.0

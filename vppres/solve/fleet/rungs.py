@@ -5,10 +5,13 @@ The proofs are in ``docs/method.md``, *Why the bounds hold*.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
+from vppres.core.arrays import Flags
+from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING, objective_scale
 from vppres.solve.dispatch import cheapest, keep_dispatch
 from vppres.solve.forms import Form, window_problem
@@ -62,3 +65,36 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
     modes = {name: problem.value_of(name) for name in problem.binaries if name != "x_served"}
     known.keep(cheapest(task, served, modes=modes))
     return outcome.status == Status.OPTIMAL
+
+
+def keep_a_steady_set(task: WindowTask) -> None:
+    """An answer by rule, if switching rules left the searches none in their time."""
+    for served in steady_sets(task.data):
+        if task.certificate.answered:
+            return
+        keep_dispatch(task, served, network=True)
+
+
+def steady_sets(data: WindowData) -> Iterator[Flags]:
+    """Supply schedules (W, C) of hardly any actions, from the one of most service down.
+
+    All customers are supplied throughout, or until power is first limited, or never. A customer
+    whose rules forbid that stays as before the window, or takes the first of the others that they
+    allow.
+    """
+    rules = data.switching
+    if rules is None:
+        return
+    shape = data.load_kw.shape
+    limited = np.flatnonzero(np.isfinite(data.grid_limit_kw))
+    always = np.ones(shape, dtype=bool)
+    until = always.copy()
+    until[limited[0] if len(limited) else 0 :] = False
+    as_before = np.tile(rules.served_before, (shape[0], 1))
+    for wanted in (always, until, ~always):
+        found = wanted.copy()
+        for other in (always, until, ~always, as_before):
+            broken = rules.broken(found)
+            allowed = broken & ~rules.broken(other)
+            found[:, allowed] = other[:, allowed]
+        yield found

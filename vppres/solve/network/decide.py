@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-from vppres.core.arrays import Flags
-from vppres.model.ratings import has_ratings
-from vppres.solve.certificate import Candidate
+from vppres.model.beyond_paper.ratings import has_ratings
 from vppres.solve.dispatch import carried, dispatch_of, tie_breakers
 from vppres.solve.fleet.masters import fleet_master
 from vppres.solve.fleet.rungs import with_modes_of_batteries
@@ -15,7 +13,6 @@ from vppres.solve.levels import service_then_cost
 from vppres.solve.network.large import LargeMaster
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT
-from vppres.solve.result import Outcome
 from vppres.solve.task import WindowTask
 
 
@@ -36,7 +33,9 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
         known.best = dispatch_of(task, best.dispatch.served)
         if known.certified:
             return
-    elif master is None or worth_asking_tie_breakers(master, best):
+    # Of a large window the tie-breakers take seconds to find that there is no answer: not where the
+    # linear problem of the network carries less than the fleet.
+    elif master is None or master.unit * (master.most_units + HALF_UNIT) > best.service:
         known.best = carried(task, best, tie_breakers)
         if known.best is not None:
             return
@@ -61,7 +60,9 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
         fleet = fleet_master(task)
         assert fleet is not None
         outcome, served = fleet.service(task.gap / master.unit)
-        if not task.is_huge and served is not None and not forbids(master, outcome, served):
+        # Whether the network allows the fleet's service, and the set that has it.
+        as_much = master.most_units + HALF_UNIT > outcome.value
+        if not task.is_huge and served is not None and as_much and master.carries(served):
             return False
         known.note("service", outcome)
         known.prove(outcome)
@@ -92,23 +93,8 @@ def use_surplus(task: WindowTask, master: NetworkMaster) -> None:
         master.keep(found.dispatch.served, charges)
 
 
-def forbids(master: NetworkMaster, outcome: Outcome, served: Flags) -> bool:
-    """Whether the network forbids the fleet's service, or the set that has it."""
-    less = master.most_units + HALF_UNIT <= outcome.value
-    return less or not master.carries(served)
-
-
 def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if task.own or not applies(task.site, task.data):
         return None
     return LargeMaster(task) if task.is_large else NetworkMaster(task)
-
-
-def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:
-    """Whether the tie-breakers may carry the dispatch of a large window.
-
-    There they take seconds to find that there is no answer. The linear problem of the network is
-    asked first: where it carries less than the fleet, they need not be.
-    """
-    return master.unit * (master.most_units + HALF_UNIT) > best.service

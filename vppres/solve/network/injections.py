@@ -15,8 +15,8 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.beyond_paper.at_end import kept_range
 from vppres.model.beyond_paper.lines_out import LinesOut
-from vppres.model.beyond_paper.stored_value import kept_range
 from vppres.model.data import WindowData
 from vppres.model.numerics import cost_scale
 from vppres.model.site import Site

@@ -335,7 +335,7 @@ class LargeMaster(NetworkMaster):
         while goal > known.most and not deadline.passed:
             none_has = self._none_has(goal, known, cuts, held, deadline)
             if none_has and goal == known.bound:
-                known.exclude()
+                known.bound = max(known.most, known.bound - 1.0)
             goal -= 1.0
 
     def _none_has(

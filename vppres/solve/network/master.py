@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import highspy
 import numpy as np
@@ -82,10 +80,6 @@ class SearchState:
         elif found.status.has_answer:
             self.tried = np.round(found.x)
         self.bound = max(self.most, min(self.bound, float(np.floor(SOLVED - found.bound))))
-
-    def exclude(self) -> None:
-        """No set that is carried has as much as the bound."""
-        self.bound = max(self.most, self.bound - 1.0)
 
     def improve(self, carried: Floats, units: float) -> None:
         """Keep a set that is carried if it is the best."""
@@ -265,16 +259,13 @@ class NetworkMaster(Relaxation):
         x = self.model.at("x_served")
         rows = [Rows.joined(self.network.found).part(binding)] if len(binding) else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
-        solver = counted.loaded(WHOLE_GAP, enough=HALF_UNIT - at_most, more=self._options)
+        solver = counted.loaded(
+            WHOLE_GAP, enough=HALF_UNIT - at_most, more=search_options(self.site, self.data)
+        )
         if best is not None and self.data.switching is not None:
             begin_with(solver, x, best)
         found = ProgramSolution.of(solver, deadline)
         return replace(found, x=found.x[x.ravel()] if found.status.has_answer else found.x)
-
-    @property
-    def _options(self) -> Mapping[str, Any]:
-        """Options of the searches with binaries."""
-        return search_options(self.site, self.data)
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""
@@ -321,11 +312,11 @@ class NetworkMaster(Relaxation):
         cheapest = None
         size = -1
         bound = -np.inf
-        program = self._enough(units_min)
+        program, options = self._enough(units_min), search_options(self.site, self.data)
         while known_gbp - bound > gap_gbp and not deadline.passed and self.network.limits > size:
             size = self.network.limits
             counted = self._counted(program, self.network.found)
-            solver = counted.loaded(0.5 * gap_gbp, NODES, more=self._options)
+            solver = counted.loaded(0.5 * gap_gbp, NODES, more=options)
             begin_with(solver, x, best.dispatch.served if cheapest is None else cheapest)
             found = ProgramSolution.of(solver, deadline)
             if np.isfinite(found.bound):

@@ -14,9 +14,9 @@ from cvxpy.constraints.zero import Equality
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.lines_out import NO_REACTIVE_FLOW
+from vppres.model.beyond_paper.ratings import limit_kva
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW
-from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.model.variables import FIELDS
 from vppres.solve.selection import Selected, Selection, Sheet
