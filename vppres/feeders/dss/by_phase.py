@@ -48,13 +48,10 @@ class CircuitByPhase:
         self.at_bus: dict[tuple[str, bool], dict[tuple[int, int], complex]] = {}
         self.users: dict[tuple[str, int], set[str]] = {}
         if not found["source"]["sequence"].lower().startswith("pos"):
-            self.refused.append(
-                (
-                    f"vsource.source has sequence={found['source']['sequence']}: its phases turn "
-                    "the other way",
-                    "Leave 'sequence' out and swap two phases everywhere, or import with "
-                    "--balance.",
-                )
+            self._refuse(
+                f"vsource.source has sequence={found['source']['sequence']}: its phases turn the "
+                "other way",
+                "Leave 'sequence' out and swap two phases everywhere, or import with --balance.",
             )
         for branch in found["branches"]:
             self._add(branch)
@@ -66,21 +63,20 @@ class CircuitByPhase:
         self.buses = [self._bus(row) for row in found["buses"]]
         self.powers = [self._power(row) for row in found["powers"]]
 
+    def _refuse(self, message: str, cure: str) -> None:
+        self.refused.append((message, cure))
+
     def _add(self, branch: Row) -> None:
         """One branch: a line between two buses, or what it draws at one."""
         element, joined = branch["element"], {bus for bus, _ in branch["nodes"]}
         if len(joined) > 2:
-            self.refused.append(
-                (f"{element} joins more than two buses", f"Write 'disable {element}'.")
-            )
+            self._refuse(f"{element} joins more than two buses", f"Write 'disable {element}'.")
         if len(joined) == 2:
             self._take(element, branch["nodes"])
         if any(first != second for first, second in branch["pairs"]):
-            self.refused.append(
-                (
-                    f"{element} connects a phase with another one",
-                    "Name the same nodes at both ends, or import the feeder with --balance.",
-                )
+            self._refuse(
+                f"{element} connects a phase with another one",
+                "Name the same nodes at both ends, or import the feeder with --balance.",
             )
         rest = [(bus, nodes, complexes(y)) for bus, nodes, y in branch["rest"]]
         if branch["pairs"]:
@@ -155,11 +151,9 @@ class CircuitByPhase:
         bus = row["name"]
         beside = [n for n in row["nodes"] if n > len(PHASES) and (bus, n) in self.taken]
         if beside:
-            self.refused.append(
-                (
-                    f"bus {bus} has node {max(beside)}: conductors beside the phases are not held",
-                    "Ground the neutral (node 0), or import the feeder with --balance.",
-                )
+            self._refuse(
+                f"bus {bus} has node {max(beside)}: conductors beside the phases are not held",
+                "Ground the neutral (node 0), or import the feeder with --balance.",
             )
         return {"bus": bus, "kv": row["kv"], "phases": [*words_of(row["nodes"])]}
 
@@ -200,11 +194,9 @@ class CircuitByPhase:
     def _power(self, row: Row) -> dict[str, Any]:
         """A load, generator or battery with its coils and load model."""
         if row["exponents"] is None:
-            self.refused.append(
-                (
-                    f"load.{row['name']} has load model {row['model']}",
-                    "Use model 1, 2, 3, 4 or 5, or import the feeder with --balance.",
-                )
+            self._refuse(
+                f"load.{row['name']} has load model {row['model']}",
+                "Use model 1, 2, 3, 4 or 5, or import the feeder with --balance.",
             )
         p_kw, q_kvar = row["at_nominal"]
         coils = [*map(words_of, row["coils"])]

@@ -38,6 +38,9 @@ TOGETHER = " + "
 MOST_KVA = 1e12
 """Of a branch that is not to be opened."""
 
+STEPS_OF_A_LIMIT = 100.0
+"""Steps that OpenDSS is given as much time for as it is to read the file."""
+
 NF_PER_F = 1e9
 SHAPE_TOLERANCE = 1e-6
 """By how much the shares of a circuit's loads may differ and still count as one share."""
@@ -252,11 +255,10 @@ class OpenDSSFlow:
             "steps": [{**drawn, "held_v": None}],
             "v_slack_pu": v_slack_pu,
         }
-        found = confined("dss.day", job, self.name, self.time_limit_s)
-        flat = found["steps"][0]["v"]
-        if flat is None:
+        found = solved_job(job, self.name, self.time_limit_s)
+        if found["steps"][0]["v"] is None:
             return None
-        volts = np.hypot(flat[::2], flat[1::2])
+        volts = np.hypot(found["v"][0].real, found["v"][0].imag)
         base_v = {row["name"]: V_PER_KV * row["kv"] / np.sqrt(3) for row in self.found["buses"]}
         return self._by_index(
             {
@@ -275,6 +277,20 @@ class OpenDSSFlow:
             if bus in self.index and number in ("1", "2", "3"):
                 at.setdefault(self.index[bus], []).append(v)
         return {i: float(np.mean(values)) for i, values in at.items()}
+
+
+def solved_job(job: dict[str, Any], name: str, limit_s: float | None = None) -> dict[str, Any]:
+    """The steps of a job that has the circuit's commands, or its problems.
+
+    ``v`` (T, nodes) are volts, NaN where there is no solution.
+    """
+    limit_s = limit_s or dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
+    found = confined("dss.day", job, name, limit_s)
+    if found["problems"]:
+        return found
+    lost = [np.nan] * 2 * len(found["nodes"])
+    parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
+    return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}
 
 
 def _single_phases(found: dict[str, Any]) -> dict[str, tuple[int, int]]:

@@ -220,8 +220,13 @@ def build(job: dict[str, Any]) -> tuple[Circuit, Problems]:
     circuit.find()
     if commands.named_levels:
         _fit_levels(circuit)
-    unfit = [*_of_one_name(circuit)]
-    unfit += [p for name in circuit.elements if (p := _problem(circuit, name))]
+    unfit = [
+        wrong(f"{element} stands {count} times", "Give each a name of its own.")
+        for element, count in Counter(circuit.elements).items()
+        if count > 1  # ('set allowduplicates'): by its name only the first can be read
+    ]
+    faults = (next(_faults(circuit, element), None) for element in circuit.elements)
+    unfit += [wrong(*fault) for fault in faults if fault]
     banks = [] if job.get("open_deltas") else [*_open_deltas(circuit)]
     return circuit, [*unfit, *banks] or _check_levels(circuit, commands.named_levels)
 
@@ -255,73 +260,77 @@ def wrong(message: str, cure: str, command: int | None = None) -> dict[str, Any]
     return {"message": message, "cure": cure, "command": command}
 
 
-def _of_one_name(circuit: Circuit) -> Iterator[dict[str, Any]]:
-    """Elements of one name ('set allowduplicates'): by it only the first can be read."""
-    for element, count in Counter(circuit.elements).items():
-        if count > 1:
-            yield wrong(f"{element} stands {count} times", "Give each a name of its own.")
+Faults = Iterator[tuple[str, str]]
+"""Why an element has no equivalent here, each with a cure; the first says enough."""
 
 
-def _problem(circuit: Circuit, element: str) -> dict[str, Any] | None:
-    """Why an element has no equivalent here; None if it has."""
+def _faults(circuit: Circuit, element: str) -> Faults:
+    """Faults of an element of any class."""
     kind, _, name = element.partition(".")
+    dss.Circuit.SetActiveElement(element)
     if kind not in CONTROLS | CARRYING:
-        dss.Circuit.SetActiveElement(element)
         cure = f"Write 'disable {element}' at the end of the script."
         if len({bus for bus in buses() if bus}) > 1:  # without it, others lose their supply
             cure = "Replace it by lines, reactors, or transformers with two windings."
-        return wrong(f"{element} is not supported", cure)
+        yield f"{element} is not supported", cure
     if kind == "vsource" and element != "vsource.source":
-        return wrong(
-            f"{element} is a second source", "Keep the circuit's own source and disable the others."
-        )
-    dss.Circuit.SetActiveElement(element)
+        cure = "Keep the circuit's own source and disable the others."
+        yield f"{element} is a second source", cure
     for bus, node in nodes_of():
         if node and bus in circuit.legs and node not in circuit.legs[bus][1]:
-            return wrong(
+            yield (
                 f"{element} is at node {node} of bus {bus}, behind a transformer whose middle is "
                 "at ground, where there are two legs alone",
                 "Put it at the legs or at ground (node 0).",
             )
-    if kind == "vsource" and any(node for _, node in nodes_of()[dss.CktElement.NumConductors() :]):
-        return wrong(
-            f"{element} stands between bus {buses()[0]} and bus {buses()[1]}",
-            "Leave its second bus out: the source holds its bus against ground.",
-        )
-    if kind == "vsource" and dss.CktElement.NumPhases() != THREE_PHASES:
-        return wrong(
-            f"{element} has {dss.CktElement.NumPhases()} of three phases",
-            "Give it three, and leave those out of the circuit that are not used.",
-        )
+    if kind == "vsource":
+        yield from _faults_of_source()
     if kind in BRANCHES and _joins_phases(circuit):
-        return wrong(
-            f"{element} joins conductors at one node", "Give each a node of its own at both ends."
-        )
+        cure = "Give each a node of its own at both ends."
+        yield f"{element} joins conductors at one node", cure
     if kind in ("vsource", "transformer", *POWERS) and _partly_open():
-        return wrong(
-            f"{element} has an open conductor", "Write it with those that are closed instead."
-        )
+        cure = "Write it with those that are closed instead."
+        yield f"{element} has an open conductor", cure
     if kind == "load" and dss.Solution.Year() and (shape := text_of(element, "growth").lower()):
-        return wrong(
+        yield (
             f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
             "Write its power of that year, and leave out 'set year'.",
         )
     if kind == "transformer":
-        service = middle() is not None
-        dss.Transformers.Name(name)
-        count = dss.Transformers.NumWindings()
-        if count != 2 and not service and name not in circuit.stars:
-            where = f" at {named_once(buses())}" if count == 3 else ""
-            return wrong(
-                f"{element} has {count} windings{where}",
-                "Replace it by transformers with two windings, or with three at three buses.",
-            )
-        if NO_REACTANCE in reactances()[: 3 if name in circuit.stars else 1]:
-            return wrong(
-                f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
-                "Give it one, such as xhl=0.01.",
-            )
-    return None
+        yield from _faults_of_transformer(name, name in circuit.stars)
+
+
+def _faults_of_source() -> Faults:
+    """Faults of the circuit's source, the active element."""
+    if any(node for _, node in nodes_of()[dss.CktElement.NumConductors() :]):
+        yield (
+            f"vsource.source stands between bus {buses()[0]} and bus {buses()[1]}",
+            "Leave its second bus out: the source holds its bus against ground.",
+        )
+    if dss.CktElement.NumPhases() != THREE_PHASES:
+        yield (
+            f"vsource.source has {dss.CktElement.NumPhases()} of three phases",
+            "Give it three, and leave those out of the circuit that are not used.",
+        )
+
+
+def _faults_of_transformer(name: str, has_star: bool) -> Faults:
+    """Faults of the active element, a transformer."""
+    service = middle() is not None
+    dss.Transformers.Name(name)
+    count = dss.Transformers.NumWindings()
+    if count != 2 and not service and not has_star:
+        at = " and ".join(dict.fromkeys(buses()))
+        where = f" at {at}" if count == 3 else ""
+        yield (
+            f"transformer.{name} has {count} windings{where}",
+            "Replace it by transformers with two windings, or with three at three buses.",
+        )
+    if NO_REACTANCE in reactances()[: 3 if has_star else 1]:
+        yield (
+            f"transformer.{name} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
+            "Give it one, such as xhl=0.01.",
+        )
 
 
 def _joins_phases(circuit: Circuit) -> bool:
@@ -335,11 +344,6 @@ def _partly_open() -> bool:
     ends = [end[: dss.CktElement.NumPhases()] for end in shut()]
     whole = dss.CktElement.Name().lower().startswith("transformer.")
     return any(not all(end) and (any(end) or not whole) for end in ends)
-
-
-def named_once(words: list[str]) -> str:
-    """Words, each once."""
-    return " and ".join(dict.fromkeys(words))
 
 
 def _open_deltas(circuit: Circuit) -> Iterator[dict[str, Any]]:

@@ -11,13 +11,12 @@ import pandas as pd
 from vppres.core.errors import VerificationError
 from vppres.core.units import V_PER_KV
 from vppres.feeders.closeness import extreme_steps_by_phase
-from vppres.feeders.dss.circuit import OWN_SOURCES, OpenDSSFlow
+from vppres.feeders.dss.circuit import OWN_SOURCES, OpenDSSFlow, solved_job
 from vppres.feeders.dss.recheck import (
     Recheck,
     Tables,
     drawn,
     side_by_side,
-    solved_job,
     solved_steps,
     step_jobs,
     step_table,

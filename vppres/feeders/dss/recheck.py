@@ -21,17 +21,13 @@ from vppres.core.errors import InputError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import script as dss_script
-from vppres.feeders.dss.circuit import OWN_SOURCES, located, read_opendss
+from vppres.feeders.dss.circuit import OWN_SOURCES, located, read_opendss, solved_job
 from vppres.feeders.net.changes import PermittedChanges, changed
 from vppres.feeders.net.reduce import feeder_of
-from vppres.feeders.strangers.confined import confined
 from vppres.kinds.table import KINDS
 from vppres.scenario.network import BusId
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
-STEPS_OF_A_LIMIT = 100.0
-"""Steps that OpenDSS is given as much time for as it is to read the file."""
-
 SMALL_PU = 0.005
 """Differences below it need no cause."""
 
@@ -137,17 +133,6 @@ def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
     if found["problems"]:
         raise InputError(located(found["problems"], script, source.name))
     return found
-
-
-def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
-    """Solve a job that has the circuit's commands, or return its problems."""
-    limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
-    found = confined("dss.day", job, name, limit_s)
-    if found["problems"]:
-        return found
-    lost = [np.nan] * 2 * len(found["nodes"])
-    parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
-    return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}
 
 
 ITEMS = {kind.item: "id" for kind in KINDS.values()}

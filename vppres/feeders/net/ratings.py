@@ -43,19 +43,3 @@ def without_rating(net: Any) -> Iterator[str]:
         for name in {column, "df"} & {*rows.columns}:
             rated &= pd.to_numeric(rows[name], errors="coerce") > 0
         yield from (label(net, table, i) for i in rows.index[~rated])
-
-
-def shared_rating(
-    admittance: pd.Series[Any], total: pd.Series[Any], rating: pd.Series[float]
-) -> pd.Series[float]:
-    """Rating of parallel branches together: where the first of them reaches its own.
-
-    ``total`` is the admittance of all that lie beside a branch.
-
-    Examples
-    --------
-    >>> y, rating = pd.Series([1 + 0j, 3 + 0j]), pd.Series([10.0, 15.0])
-    >>> shared_rating(y, pd.Series([4 + 0j, 4 + 0j]), rating).tolist()
-    [40.0, 20.0]
-    """
-    return rating * total.abs() / admittance.abs()
