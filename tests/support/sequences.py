@@ -20,9 +20,13 @@ import yaml
 
 from tests.support.asgi import Answer, Caller
 from tests.support.live_service import HERE, NOON, heard, readings, serving
+from tests.support.page_words import NODE, first_lines
 from tests.support.sites import SITES
 from tests.support.three_phases import three_phases
 from vppres.day.options import RunOptions
+from vppres.day.reliability import reliability_by_tier
+from vppres.day.trajectory import taken
+from vppres.report.events import events_of
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
@@ -451,6 +455,11 @@ class Player:
         found = self.http.get("/v1/alarms").json()["alarms"]
         return answered({"now": written(self.runner.clock.now()), "alarms": found})
 
+    def page(self, _: None) -> Answer:
+        """First lines of the page."""
+        site, overview = (self.http.get(f"/v1/{name}").json() for name in ("site", "overview"))
+        return answered(first_lines(site, overview, self.folder))
+
     def standing(self, _: None) -> Answer:
         """Alarms that are not cleared and whose condition is not gone."""
         found = self.http.get("/v1/alarms").json()["alarms"]
@@ -464,18 +473,30 @@ class Player:
         return answered(explained(question(self.runner, self.runner.last)))
 
     def reasons(self, _: None) -> Answer:
-        """What has changed since the last plan, in words."""
-        return answered({"reasons": list(self.runner.changes.reasons)})
+        """What has changed since the last plan, in words, and whether a new one is wanted at once."""
+        changes = self.runner.changes
+        return answered({"reasons": list(changes.reasons), "new": changes.new.is_set()})
 
     def export(self, span: dict[str, str]) -> Answer:
         """Tables of the run that is written out: columns over steps, of each asset if there are some."""
         run = export(self.service, self.folder, span["from"], span["to"])
         found: dict[str, Any] = {"steps": run.steps.to_dict("list")}
+        found["tiers"] = reliability_by_tier(run).to_dict("index")
+        found["events"] = [one.words for one in events_of(run)]
+        found["supplied"] = run.supplied.tolist()
+        found["off_min"] = (run.time_off * 60.0).tolist()
+        found["taken"] = taken(run.customers).tolist()
+        found["scenario"] = {name: values.tolist() for name, values in run.scenario.series.items()}
         for name, key in (("customers", "id"), ("batteries", "id"), ("gensets", "genset")):
             table = getattr(run, name)
             assets = [] if table is None or table.empty else table.groupby(key, sort=False)
             found[name] = {asset: rows.to_dict("list") for asset, rows in assets}
         return answered(found)
+
+    def listen(self, _: None) -> Answer:
+        """What was missed is looked for, as after a start."""
+        self.runner.hearing.look()
+        return answered({})
 
     def restart(self, _: None) -> Answer:
         """The service ends and begins again."""
