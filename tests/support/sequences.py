@@ -125,6 +125,7 @@ class Checks:
         """Another than this."""
         return not self.matches(value, found)
 
+    contains = staticmethod(lambda value, found: value in found)
     within = staticmethod(lambda value, found: found in value)
     absent = staticmethod(lambda value, found: False)
 
@@ -340,18 +341,17 @@ def _cases(
         yield Sequence(name, own, tuple(put_in(row, known) for row in rows), slow)
 
 
-def cases(*names: str) -> list[Any]:
+def case(file: Path, one: Sequence) -> Any:
+    """A sequence as a case of a test; what the page says is told by node."""
+    marks = [getattr(pytest.mark, one.mark)] if one.mark else []
+    if NODE is None and any(" page ->" in row for row in one.rows):
+        marks.append(pytest.mark.skip("no node on the path"))
+    return pytest.param(one, id=f"{file.stem}: {one.name}", marks=marks)
+
+
+def cases() -> list[Any]:
     """All sequences of the files as cases of a test."""
-    return [
-        pytest.param(
-            one,
-            id=f"{path.stem}: {one.name}",
-            marks=getattr(pytest.mark, one.mark) if one.mark else (),
-        )
-        for path in sorted(FOLDER.glob("*.txt"))
-        for one in sequences(path)
-        if not names or path.stem in names
-    ]
+    return [case(file, one) for file in sorted(FOLDER.glob("*.txt")) for one in sequences(file)]
 
 
 def service_of(given: Mapping[str, Any]) -> Service:
