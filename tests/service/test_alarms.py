@@ -12,15 +12,10 @@ import pytest
 
 from tests.support.asgi import Caller
 from tests.support.live_service import (
-    HERE,
     NOON,
     Running,
-    client,
     decided,
-    readings,
     running,
-    serving,
-    site,
 )
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
@@ -29,7 +24,6 @@ from vppres.service.alarms.state import KINDS, Alarms, Notice
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
 from vppres.service.operation.runner import Runner
-from vppres.service.operation.site import Service
 from vppres.service.storage.records import Condition, Reading, seconds
 from vppres.service.storage.store import Store
 
@@ -196,87 +190,6 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     assert kinds == ["notices_undelivered"]
 
 
-@pytest.mark.daily
-def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
-    """Nothing is stored: the shop is off for an hour of two, for two, for three."""
-    day = site(tiny)
-    backup = np.where(day.customers.id == "shop", 2.0, np.nan)
-    day = replace(day, customers=replace(day.customers, own_backup_h=backup), pv_kw=0.0 * day.pv_kw)
-    found, shown = [], []
-    clock = SetClock(NOON)
-    with client(Service(day, HERE), tmp_path, clock) as http:
-        http.put("/v1/events/storm", DARK)
-        for hour in range(3):
-            decided(http, clock, NOON + hour * HOUR, soc=0.1)
-            alarms = http.get("/v1/alarms").json()["alarms"]
-            found.append([(a["priority"], a["text"]) for a in alarms if a["kind"] == "longest_off"])
-            off = http.get("/v1/overview").json()["plan"]["off"]
-            shown.append({one["asset"]: (one["off_h"], one["longest_off_h"]) for one in off})
-    words = "shop is off, for {} h by {}:00, {}"
-    assert found == [
-        [],
-        [("medium", words.format(2, 14, "of 2 h, and not planned to be on in the next one."))],
-        [("high", words.format(3, 15, "longer than its 2 h."))],
-    ]
-    assert [one["shop"] for one in shown] == [(1.0, 2.0), (2.0, 2.0), (3.0, 2.0)]
-    assert shown[0]["hospital"] == (None, None)
-
-
-def texts(http: Caller) -> dict[str, str]:
-    """The text of each alarm whose condition holds, by kind."""
-    alarms = http.get("/v1/alarms").json()["alarms"]
-    return {a["kind"]: a["text"] for a in alarms if not (a["cleared_at"] or a["gone_since"])}
-
-
-def test_customers_off_with_grid_are_an_alarm(live: Running) -> None:
-    http, clock, _ = live
-    limit = {"type": "import_limit", "start": written(NOON), "limit_kw": 5.0}
-    http.put("/v1/events/cap", {**limit, "end": written(NOON + HOUR)})
-    plan = decided(http, clock, NOON, soc=0.16)
-    off = [p["asset"] for p in plan["setpoints"] if p.get("served") is False]
-    words = texts(http)["off_with_grid"]
-    assert off and words.endswith(" off supply, and there is grid of at most 5 kW.")
-    assert all(name in words for name in off)
-    until = {"until": written(NOON + 3 * HOUR)}
-    one = {"kind": "customers", "asset": "homes", "served": False}
-    http.put("/v1/mode", {"mode": "manual", **until, "setpoints": [one]})
-    clock.set(NOON + HOUR)
-    http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 1.0})})
-    http.post("/v1/steps")
-    assert texts(http)["off_with_grid"].endswith("by the operator's mode manual.")
-    http.put("/v1/mode", {"mode": "auto"})
-    decided(http, clock, NOON + 2 * HOUR, soc=0.8)
-    assert "off_with_grid" not in texts(http)
-
-
-def test_one_former_that_is_left_is_an_alarm(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    service = Service(site(tiny), replace(HERE, mode="physical"))
-    with serving(service, tmp_path, clock) as (http, runner):
-        http.put("/v1/events/storm", DARK)
-        plan = decided(http, clock, NOON, soc=0.8)
-        assert "one_former_left" not in texts(http)
-
-        def told(asset: str, status: str) -> str:
-            clock.set(clock.now() + MINUTE)
-            (point,) = (one for one in plan["setpoints"] if one["asset"] == asset)
-            http.post(f"/v1/setpoints/{point['id']}/status", {"status": status})
-            runner.anew()
-            return texts(http).get("one_former_left", "")
-
-        why = "its device rejected it"
-        only = f"Only small can form the grid of an island; not big ({why})."
-        assert told("big", "rejected") == only
-        none = f"Nothing can form the grid of an island: not big ({why}), small ({why})."
-        assert told("small", "rejected") == none
-        assert ("one_former_left", "high", "raised") in listed(http)
-        assert texts(http)["critical_off"] == (
-            "hospital of the first tier off supply: nothing can form the grid."
-        )
-        assert told("small", "accepted") == only
-        assert told("big", "accepted") == ""
-
-
 def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     http, clock, runner = live
     decided(http, clock, NOON)
@@ -294,19 +207,11 @@ def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> 
 # Over HTTP.
 
 
-def test_operators_acknowledge_and_shelve(live: Running) -> None:
+def test_who_may_only_read_alarms_does_not_acknowledge_them(live: Running) -> None:
     http, clock, runner = live
     http.put("/v1/events/storm", DARK)
     decided(http, clock, NOON, soc=0.151)
     number = http.get("/v1/alarms").json()["alarms"][0]["id"]
-    seen = http.post(f"/v1/alarms/{number}/acknowledge").json()
-    assert (seen["state"], seen["acknowledged_by"]) == ("acknowledged", "anybody here")
-    until = written(NOON + 4 * HOUR)
-    shelf = http.put(f"/v1/alarms/{number}/shelf", {"until": until, "reason": "generator comes"})
-    assert (shelf.json()["state"], shelf.json()["shelved_until"]) == ("shelved", until)
-    assert http.delete(f"/v1/alarms/{number}/shelf").json()["state"] == "acknowledged"
-    assert http.put(f"/v1/alarms/{number}/shelf", {"until": written(NOON)}).status == 422
-    assert http.post("/v1/alarms/99/acknowledge").status == 404
     secret, token = new_token("panel:read")
     tight = Caller(make_app(runner, Access([token])))
     asked = {"authorization": f"Bearer {secret}"}
@@ -329,26 +234,3 @@ def test_a_day_of_lost_readings_is_told_in_a_few_notices(store: Store, tiny: Sce
             )
         book.alarms.look(conditions(situation(now, tiny, store, plan, 3600.0)), now)
     assert 0 < len(book.notices) < 10
-
-
-def test_an_acknowledged_alarm_stands_over_a_restart_within_the_step(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    """The clock that is set goes on from the last plan, not from the beginning of its step."""
-    service = Service(site(tiny), HERE)
-    then = NOON + 20 * MINUTE
-    clock = SetClock(NOON)
-    with serving(service, tmp_path, clock) as (http, runner):
-        decided(http, clock, NOON)
-        runner.set_clock(then)
-        (lost,) = readings(then, "grid_on", {"grid": 0.0})
-        series = [lost, {**lost, "source": "relay"}]
-        assert http.post("/v1/telemetry", {"series": series}).status == 200
-        runner.anew()
-        (alarm,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
-        http.post(f"/v1/alarms/{alarm['id']}/acknowledge", {"reason": "known"})
-    with serving(service, tmp_path, SetClock(NOON - HOUR)) as (http, runner):
-        runner.watch.check_alarms()
-        assert runner.clock.now() == then
-        (again,) = [a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "grid_lost"]
-        assert (again["id"], again["state"]) == (alarm["id"], "acknowledged")

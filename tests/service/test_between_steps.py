@@ -19,7 +19,6 @@ from tests.support.live_service import (
     NOON,
     Running,
     decided,
-    heard,
     reading,
     readings,
     running,
@@ -30,15 +29,13 @@ from tests.support.live_service import (
 from vppres.core.errors import InputError, StorageError
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import SetClock, written
+from vppres.service.clock import SetClock
 from vppres.service.events.announced import check_not_over
-from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
 from vppres.service.operation.site import Service
 from vppres.service.payloads import Belief
 
 LATER = NOON + pd.Timedelta("13min")
-END = "2026-11-21T13:06:00Z"
 
 
 @pytest.fixture
@@ -55,43 +52,6 @@ def grid(on: float, at: pd.Timestamp = LATER) -> dict[str, Any]:
     return {"series": readings(at, "grid_on", {"grid": on})}
 
 
-def test_a_grid_that_is_lost_is_planned_for_at_once(live: Running) -> None:
-    http, clock, runner = live
-    before = http.get("/v1/plan").json()
-    assert runner.anew() is None
-    http.post("/v1/telemetry", grid(0.0))
-    why = "grid lost at 2026-11-21T12:13:00Z (scada)"
-    assert http.get("/v1/plan").json()["unaware_of"] == [why]
-    assert http.get("/v1/overview").json()["plan"]["unaware_of"] == [why]
-    runner.anew()
-    plan = http.get("/v1/plan").json()
-    assert plan["grid"] == {"available": False, "known_by": "reading"}
-    assert (plan["start"], plan["valid_from"], plan["anew"]) == (
-        "2026-11-21T12:00:00Z", "2026-11-21T12:13:00Z", why,
-    )  # fmt: skip
-    assert "unaware_of" not in plan
-    on = said(plan, "customers")
-    assert on["hospital"]["served"] and not all(one["served"] for one in on.values())
-    now = http.get("/v1/setpoints").json()["setpoints"]
-    assert all(one["active"] and one["anew"] == why and one["valid_until"] == END for one in now)
-    was = http.get("/v1/setpoints?at=2026-11-21T12:05:00Z").json()["setpoints"]
-    assert [one["id"] for one in was] == [one["id"] for one in before["setpoints"]]
-    assert http.get("/v1/status").json()["steps"]["ok"] == 1  # a step counts once
-    accepted = http.post(f"/v1/setpoints/{was[0]['id']}/status", {"status": "accepted"})
-    assert accepted.status == 200
-    # And back again.
-    clock.set(LATER + pd.Timedelta("20min"))
-    http.post("/v1/telemetry", grid(1.0, clock.now()))
-    runner.anew()
-    light = http.get("/v1/plan").json()
-    assert all(one["served"] for one in said(light, "customers").values())
-    assert [one["valid_from"] for one in light["before"]] == [
-        "2026-11-21T12:00:00Z",
-        "2026-11-21T12:13:00Z",
-    ]
-    assert decided(http, clock, NOON + pd.Timedelta("1h"))["status"] == "ok"
-
-
 def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(live: Running) -> None:
     """13 minutes of what was ordered first, then 47 of what was ordered anew."""
     http, clock, runner = live
@@ -106,22 +66,6 @@ def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(live: Runnin
     given_kwh = -(first * 13 + second * 47) / 60 / 0.95
     left = 0.85 - given_kwh / 100.0
     assert any(one.startswith(f"soc big {left:.4f} ") for one in silent["estimated"])
-
-
-def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    with running(tiny, tmp_path) as (http, clock, runner):
-        decided(http, clock, NOON, soc=0.85)
-        clock.set(LATER)
-        http.post("/v1/telemetry", grid(0.0))
-    clock.set(LATER + pd.Timedelta("2min"))
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        assert runner.changes.reasons == ()
-        runner.hearing.look()
-        plan = runner.anew()
-        assert plan is not None and not plan["grid"]["available"]
-        assert said(plan, "customers")["hospital"]["served"]
 
 
 def test_the_loop_answers_a_lost_grid_within_seconds(live: Running) -> None:
@@ -165,28 +109,6 @@ def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
     loop.end()
 
 
-def test_a_change_at_the_moment_of_a_plan_is_seen_once_the_clock_goes_on(live: Running) -> None:
-    http, _, runner = live
-    http.post("/v1/telemetry", grid(0.0))
-    assert runner.anew() is not None
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:00:00Z"})
-    assert runner.anew() is None and not runner.changes.new.is_set()
-    runner.set_clock(LATER + pd.Timedelta("1min"))
-    assert runner.changes.new.is_set()
-    assert runner.anew() is not None
-
-
-def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(live: Running) -> None:
-    http, clock, runner = live
-    clock.set(NOON + pd.Timedelta("1h"))
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
-    assert runner.anew() is None and runner.changes.reasons == ("event storm",)
-    http.post("/v1/telemetry", heard(clock.now()))
-    plan = http.post("/v1/steps").json()
-    assert not plan["grid"]["available"] and "anew" not in plan
-    assert runner.changes.reasons == ()
-
-
 def test_a_state_of_charge_far_from_the_plan_is_planned_for_at_once(live: Running) -> None:
     """Twice: a jump that the measured power does not explain counts once it is borne out."""
     http, clock, runner = live
@@ -207,44 +129,6 @@ def test_a_state_of_charge_far_from_the_plan_is_planned_for_at_once(live: Runnin
         assert runner.changes.reasons == reasons
         plan = runner.anew() or plan
     assert plan["expected"]["soc_start"]["big"] == pytest.approx(0.3, abs=0.01)
-
-
-def test_a_grid_that_may_not_be_drawn_from_is_no_news_with_each_reading(live: Running) -> None:
-    http, clock, runner = live
-    limit = {"type": "import_limit", "start": written(NOON), "limit_kw": 0.0}
-    http.put("/v1/events/limit", limit)
-    http.post("/v1/telemetry", grid(1.0))
-    plan = runner.anew()
-    assert plan is not None and plan["grid"] == {"available": False, "known_by": "limit"}
-    clock.set(LATER + pd.Timedelta("1min"))
-    http.post("/v1/telemetry", grid(1.0, clock.now()))
-    assert runner.changes.reasons == ()
-
-
-def test_a_battery_that_is_not_connected_stays_out_and_raises_an_alarm(live: Running) -> None:
-    """It said so once, and how full it is since; only that it is back counts."""
-    http, clock, runner = live
-    http.post("/v1/telemetry", {"series": readings(LATER, "online", {"big": 0.0}, lasts="PT1M")})
-    plan = decided(http, clock, NOON + pd.Timedelta("3h"))
-    assert "battery big is out" in plan["estimated"]
-    words = "big did not follow its set-point: reported as not connected."
-    assert words in [one["text"] for one in http.get("/v1/alarms").json()["alarms"]]
-    http.post("/v1/telemetry", {"series": readings(clock.now(), "online", {"big": 1.0})})
-    clock.set(clock.now() + pd.Timedelta("1min"))
-    again = runner.anew()
-    assert again is not None and "battery big is out" not in again["estimated"]
-
-
-def test_of_two_prices_the_one_that_was_written_later_counts(live: Running) -> None:
-    """Whatever their names are."""
-    http, clock, runner = live
-    for minutes, name, price in ((0, "b", 0.9), (1, "a", 0.1), (2, "b", 0.8)):
-        clock.set(LATER + pd.Timedelta(minutes=minutes))
-        hour = {"start": written(NOON), "resolution": "PT1H", "price_gbp_per_kwh": [price]}
-        http.put(f"/v1/events/{name}", {"type": "price", **hour})
-        clock.set(clock.now() + pd.Timedelta("10s"))
-        plan = runner.anew()
-        assert plan is not None and plan["expected"]["price_gbp_per_kwh"] == price
 
 
 def test_the_rest_of_a_step_is_decided_after_a_restart_as_without_one(

@@ -145,19 +145,6 @@ def test_a_step_that_cannot_be_kept_is_not_decided(
         assert decided(other, undisturbed, later)["setpoints"] == plan["setpoints"]
 
 
-def test_set_points_end_and_leave_the_default(live: Live) -> None:
-    http, clock = live
-    assert http.get("/v1/setpoints").json()["setpoints"] == []
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
-    plan = decided(http, clock, NOON, soc=0.2)
-    now = http.get("/v1/setpoints?asset=big").json()["setpoints"][0]
-    assert now == {**said(plan, "batteries")["big"], "active": True, "status": "new"}
-    assert now["valid_until"] == "2026-11-21T13:06:00Z" and now["p_kw"] != 0.0
-    over = http.get("/v1/setpoints?asset=big&at=2026-11-21T13:06:00Z").json()["setpoints"][0]
-    assert (over["active"], over["p_kw"], over["q_kvar"]) == (False, 0.0, 0.0)
-    assert http.get("/v1/setpoints?at=noon").json()["problems"][0]["message"].startswith("is not a")
-
-
 def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> None:
     controller = Controller.of(tiny, HERE)
     good = controller.step(Measurement(tiny.grid.times[0], {"big": 0.5, "small": 0.5}))

@@ -54,44 +54,6 @@ def grid_on(http: Caller, time: pd.Timestamp, on: bool) -> None:
     assert http.post("/v1/telemetry", {"series": series}).status == 200
 
 
-def test_what_is_believed_follows_from_what_is_said_and_seen(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    with believing(tiny, tmp_path) as (http, clock):
-        assert http.put("/v1/events/storm", STORM).status == 201
-        plan = decided(http, clock, NOON)
-        # In one hour with 0.6 / 2, in two with the other half; each for two hours.
-        assert plan["outage_probability"][:5] == [0.0, 0.3, 0.6, 0.3, 0.0]
-        assert plan["grid"] == {"available": True, "known_by": "profile"}
-        one = NOON + HOUR
-        grid_on(http, one, True)
-        plan = decided(http, clock, one)
-        # It did not come at one: 0.3 of the 0.7 that are left.
-        assert plan["outage_probability"][:4] == [0.0, *[round(0.3 / 0.7, 6)] * 2, 0.0]
-        two = NOON + 2 * HOUR
-        grid_on(http, two, False)
-        plan = decided(http, clock, two, soc=0.2)
-        assert plan["grid"] == {"available": False, "known_by": "reading"}
-        assert plan["outage_probability"][:3] == [1.0, 1.0, 0.0]
-        assert not all(each["served"] for each in said(plan, "customers").values())
-        grid_on(http, two + HOUR, True)
-        assert decided(http, clock, two + HOUR)["grid"]["available"]
-
-
-def test_where_nobody_sees_the_grid_what_is_likely_counts(tiny: Scenario, tmp_path: Path) -> None:
-    with believing(tiny, tmp_path) as (http, clock):
-        http.put("/v1/events/storm", STORM)
-        found = [decided(http, clock, NOON + hours * HOUR, 0.5)["grid"] for hours in range(4)]
-        # At one 0.3, at two 0.43 of what was not seen at one; it is never likely.
-        assert {one["known_by"] for one in found} == {"profile"}
-        likely = {**STORM, "probability": 0.8, "onset": {**TWO_ONSETS, "probabilities": [0.9, 0.1],
-                  "start": "2026-11-21T16:00:00Z"}}  # fmt: skip
-        http.put("/v1/events/storm", likely)
-        found = [decided(http, clock, NOON + hours * HOUR, 0.5)["grid"] for hours in range(4, 7)]
-        assert [one["known_by"] for one in found] == ["belief", "belief", "profile"]
-        assert [one["available"] for one in found] == [False, False, True]
-
-
 def test_the_more_likely_an_outage_the_more_is_kept(tiny: Scenario, tmp_path: Path) -> None:
     charged = []
     for place, probability in enumerate((0.0, 0.05, 0.9)):
@@ -101,16 +63,6 @@ def test_the_more_likely_an_outage_the_more_is_kept(tiny: Scenario, tmp_path: Pa
             charged.append(sum(one["p_kw"] for one in said(plan, "batteries").values()))
     assert charged == sorted(charged)
     assert charged[0] < 0.5 * charged[2]
-
-
-@pytest.mark.parametrize("outages", [None, "known", "belief"])
-def test_a_plan_tells_the_probability_of_an_outage_that_is_announced(
-    tiny: Scenario, tmp_path: Path, outages: str | None
-) -> None:
-    outage = {"type": "outage", "start": "2026-11-21T13:20:00Z", "end": "2026-11-21T15:00:00Z"}
-    with believing(tiny, tmp_path, outages) as (http, clock):
-        http.put("/v1/events/storm", outage)
-        assert decided(http, clock, NOON)["outage_probability"][:4] == [0.0, 1.0, 1.0, 0.0]
 
 
 @pytest.mark.nightly
@@ -201,90 +153,6 @@ def test_an_estimate_counts_whatever_its_name(
         assert "INC-1 is outlasted, the statistics count" in words[2]
 
 
-def test_what_a_crew_says_of_the_end(tiny: Scenario, tmp_path: Path) -> None:
-    """A lone median has a spread; not before a time the grid is away; a notice is near certain."""
-    alone = {**lasting(3.0), "duration": {"family": "lognormal", "median_h": 3.0}}
-    with believing(tiny, tmp_path) as (http, clock):
-        two = NOON + 2 * HOUR
-        clock.set(two)
-        grid_on(http, two, False)
-        http.put("/v1/events/INC-1", alone)
-        median = decided(http, clock, two, 0.6)["outage_probability"]
-        assert median[0] == 1.0 > median[2] > 0.5 > median[3] > 0.1
-        at_five = {"type": "restoration", "likely": "2026-11-21T17:00:00Z"}
-        http.delete("/v1/events/INC-1")
-        http.put("/v1/events/crew", at_five)
-        assert decided(http, clock, two + HOUR, 0.5)["outage_probability"][1] > 0.5
-        later = {"type": "restoration", "not_before": "2026-11-21T19:00:00Z"}
-        http.put("/v1/events/crew", later)
-        assert decided(http, clock, two + 2 * HOUR, 0.4)["outage_probability"][:3] == [1.0] * 3
-        http.put("/v1/events/other", {"type": "restoration", "by": "2026-11-21T18:00:00Z"})
-        plan = decided(http, clock, two + 3 * HOUR, 0.4)
-        assert plan["solve"]["outage_messages"] == "other counts, not crew"
-        nothing = http.put("/v1/events/crew", {"type": "restoration"})
-        assert nothing.status == 422 and "says nothing" in nothing.json()["detail"]
-        order = {**later, "by": "2026-11-21T18:00:00Z"}
-        assert "out of order" in http.put("/v1/events/crew", order).json()["detail"]
-        past = {"type": "restoration", "by": "2026-11-21T13:00:00Z"}
-        assert "wholly in the past" in http.put("/v1/events/new", past).json()["detail"]
-    with believing(tiny, tmp_path / "known", "known") as (http, _):
-        assert http.put("/v1/events/crew", at_five).status == 422
-
-
-def test_an_outage_goes_on_after_the_time_that_a_crew_gave(tiny: Scenario, tmp_path: Path) -> None:
-    """Steps are planned at that time, after it, and when a later message names a past one."""
-    with believing(tiny, tmp_path) as (http, clock):
-        crew = "/v1/events/crew"
-        by = {"type": "restoration", "by": (NOON + 2 * HOUR).isoformat()}
-        for hour in range(5):
-            now = NOON + hour * HOUR
-            clock.set(now)
-            grid_on(http, now, False)
-            if hour == 0:
-                assert http.put(crew, by).status == 201
-            if hour == 4:
-                assert http.put(crew, {**by, "by": (NOON + 3 * HOUR).isoformat()}).status == 200
-            plan = decided(http, clock, now)
-            assert (plan["status"], plan["outage_probability"][0]) == ("ok", 1.0)
-
-
-def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path) -> None:
-    with believing(tiny, tmp_path, "known") as (http, _):
-        answer = http.put("/v1/events/storm", STORM)
-        assert answer.status == 422
-        assert answer.json()["problems"][0]["cure"].startswith("Start it with --outages belief")
-    with believing(tiny, tmp_path / "other") as (http, _):
-        for change, words in (
-            ({"onset": {**TWO_ONSETS, "probabilities": [0.5, 0.4]}}, "do not sum to 1"),
-            ({"probability": 1.1}, "less than or equal to 1"),
-            ({"duration": {**TWO_HOURS, "hours": [1.0, 2.0]}}, "without a probability"),
-            ({"duration": {"family": "lognormal", "median_h": 0, "sigma": 1}}, "greater than 0"),
-            ({"duration": {"family": "until", "until": "2026-11-21T13:00:00Z"}}, "ends before"),
-            ({"duration": {"family": "gamma"}}, "Known: lognormal, weibull"),
-            ({"limit_kw": 5}, "limit_kw = 5: must be 0."),
-        ):
-            answer = http.put("/v1/events/storm", {**STORM, **change})
-            assert answer.status == 422 and words in answer.json()["detail"], answer.json()
-        [told] = http.put("/v1/events/storm", {**STORM, "probability": 1.1}).json()["problems"]
-        assert (told["field"], told["value"]) == ("body.outage_belief.probability", "1.1")
-        assert http.get("/v1/events").json() == {}
-
-
-def test_beliefs_keep_their_history_and_may_be_withdrawn(tiny: Scenario, tmp_path: Path) -> None:
-    with believing(tiny, tmp_path) as (http, clock):
-        for probability in (0.2, 0.7):
-            http.put("/v1/events/storm", {**STORM, "probability": probability})
-        http.delete("/v1/events/storm")
-        http.put("/v1/events/storm", STORM)
-        said_so_far = http.get("/v1/events/storm/versions").json()
-        assert [one.get("probability") for one in said_so_far] == [0.2, 0.7, None, 0.6]
-        assert {one["made_at"] for one in said_so_far} == {"2026-11-21T12:00:00Z"}
-        assert http.get("/v1/events/storm").headers["etag"] == '"4"'
-        assert http.get("/v1/events/calm").status == 404
-        http.delete("/v1/events/storm")
-        assert set(decided(http, clock, NOON)["outage_probability"]) == {0.0}
-
-
 def test_a_message_says_since_when_somebody_knew() -> None:
     noon = seconds(NOON)
     body = {**STORM, "duration": {"family": "lognormal", "median_h": 7.0, "sigma": 1.33,
@@ -313,28 +181,6 @@ def test_onsets_in_shorter_steps_share_their_interval() -> None:
     shares = OnsetShares(NOON, 1.0, (0.25, 0.75))
     assert shares.begun(np.arange(-1, 6) * 0.5).tolist() == [0, 0, 0.125, 0.25, 0.625, 1, 1]
     assert (shares.likely, shares.end) == (NOON + HOUR, NOON + 2 * HOUR)
-
-
-def test_who_is_silent_for_long_is_taken_for_what_may_be(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    levels = {"p10": [5.0] * 8, "p50": [10.0] * 8, "p90": [15.0] * 8}
-    body = {"issued_at": "2026-11-21T11:00:00Z", "start": "2026-11-21T12:00:00Z",
-            "resolution": "PT1H"}  # fmt: skip
-    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
-        http.put("/v1/forecasts/load_kw", {**body, "assets": {"shop": levels}})
-        http.put("/v1/forecasts/pv_kw", {**body, "assets": {"roof": levels}})
-        once = readings(NOON, "load_kw", {"shop": 11.0}) + readings(NOON, "pv_kw", {"roof": 9.0})
-        http.post("/v1/telemetry", {"series": once})
-        imports = []
-        for hours in (0, 4):
-            plan = decided(http, clock, NOON + hours * HOUR)
-            imports.append(plan)
-        assert not [words for words in imports[0]["estimated"] if "shop" in words]
-        words = imports[1]["estimated"]
-        assert "load_kw shop is p90 of its forecast" in words
-        assert "pv_kw roof is p10 of its forecast" in words
-        roof = said(imports[1], "pv")["roof"]
-        assert roof["p_kw"] <= 5.0 + 1e-6
 
 
 MINUTE = pd.Timedelta("1min")
@@ -368,38 +214,3 @@ def test_certain_outages_are_dark_in_each_step_that_one_of_them_touches(
         seen = seen_outages(times[: t + 1], [*dark[: t + 1]])
         believed = outlook.at(now, 14 - t, seen).out_probability
         assert believed == pytest.approx(dark[t:].astype(float))
-
-
-def test_two_outages_that_touch_one_step_are_both_planned_for(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    spans = {"a": ("12:05", "12:20"), "b": ("12:40", "16:00")}
-    with believing(tiny, tmp_path) as (http, clock):
-        for name, (start, end) in spans.items():
-            body = {
-                "type": "outage",
-                "start": f"2026-11-21T{start}:00Z",
-                "end": f"2026-11-21T{end}:00Z",
-            }
-            assert http.put(f"/v1/events/{name}", body).status == 201
-        grid_on(http, NOON, False)
-        plan = decided(http, clock, NOON)
-        assert plan["outage_probability"][:5] == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.0])
-
-
-@pytest.mark.parametrize("first", ["fact", "belief"])
-def test_a_step_is_dark_with_the_probability_of_any_outage_that_touches_it(
-    tiny: Scenario, tmp_path: Path, first: str
-) -> None:
-    span = {"start": "2026-11-21T13:05:00Z", "end": "2026-11-21T14:30:00Z"}
-    onset = {"start": "2026-11-21T14:00:00Z", "resolution": "PT1H", "probabilities": [1.0]}
-    three = {"family": "discrete", "hours": [3.0], "probabilities": [1.0]}
-    events = {
-        "fact": {"type": "outage", **span},
-        "belief": STORM | {"probability": 0.5, "onset": onset, "duration": three},
-    }
-    with believing(tiny, tmp_path) as (http, clock):
-        for name in sorted(events, key=lambda name: name != first):
-            assert http.put(f"/v1/events/{name}", events[name]).status == 201
-        plan = decided(http, clock, NOON)
-        assert plan["outage_probability"][:6] == [0.0, 1.0, 1.0, 0.5, 0.5, 0.0]

@@ -11,13 +11,11 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Answer, Caller
-from tests.support.live_service import HERE, NOON, Running, decided, running, serving, site
+from tests.support.live_service import NOON, Running, running
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.operation.runner import Runner
-from vppres.service.operation.site import Service
 
 HOUR = pd.Timedelta("1h")
 OUTAGE = {"type": "outage", "start": "2026-11-21T15:00:00Z", "end": "2026-11-21T16:00:00Z"}
@@ -99,15 +97,3 @@ def test_who_asked_for_a_step_is_written_down_once(live: Running) -> None:
     runner.step()  # as the clock does
     steps = [row for row in runner.store.audit() if row[1] == "step"]
     assert steps == [("control-room", "step", "p-2026-11-21T12:00:00Z ok")]
-
-
-def test_steps_are_counted_as_they_are_kept(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    service = Service(site(tiny), HERE)
-    with serving(service, tmp_path, clock) as (http, runner):
-        for hours in (0, 1, 3):
-            decided(http, clock, NOON + hours * HOUR)
-        assert runner.store.outcomes() == {"ok": 3, "missed": 1}
-    with serving(service, tmp_path, clock) as (http, runner):
-        assert runner.store.outcomes() == {"ok": 3, "missed": 1}
-        assert 'vppres_steps_total{outcome="ok"} 3.0' in http.get("/metrics").content.decode()

@@ -115,21 +115,6 @@ def test_mode_off_in_an_island_reconnects_nobody_until_the_grid_is_back(
         assert not now(http, "gensets")["g0"]["running"]
 
 
-def test_a_grid_that_is_lost_in_mode_off_leaves_everything_as_it_was(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    clock = SetClock(NOON)
-    with serving(Service(with_former(tiny), HERE), tmp_path, clock) as (http, runner):
-        http.put("/v1/mode", OFF)
-        decided(http, clock, NOON)
-        clock.set(NOON + pd.Timedelta("10min"))
-        http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 0.0})})
-        assert runner.anew() is not None
-        stored = http.get("/v1/plan").json()
-        assert stored["status"] == "off" and not stored["grid"]["available"]
-        assert all(one["served"] for one in now(http, "customers").values())
-
-
 def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

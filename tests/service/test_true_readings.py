@@ -45,26 +45,6 @@ DARK = {"type": "outage", "start": "2026-11-21T12:00:00Z"}
 # A reading out of its range.
 
 
-@pytest.mark.parametrize(
-    ("quantity", "asset", "value"), [("battery_kw", "big", 5e4), ("pv_kw", "roof", 2e4)]
-)
-def test_a_meter_in_watts_is_refused_by_name_and_the_island_is_held(
-    live: Live, quantity: str, asset: str, value: float
-) -> None:
-    http, clock = live
-    http.put("/v1/events/storm", DARK)
-    decided(http, clock, NOON)
-    clock.set(NOON + HOUR)
-    sent = readings(NOON, quantity, {asset: value}) + heard(NOON + HOUR)["series"]
-    answer = http.post("/v1/telemetry", {"series": sent}).json()
-    assert [one["field"] for one in answer["refused"]] == [f"{quantity} of {asset}"]
-    assert answer["accepted"] == 2
-    plan = http.post("/v1/steps").json()
-    assert plan["status"] == "ok"
-    on = said(plan, "customers")
-    assert on["hospital"]["served"] and not all(one["served"] for one in on.values())
-
-
 IMPOSSIBLE: tuple[tuple[dict[str, Any], set[str]], ...] = (
     ({"battery_kw": {"big": 40e3}, "soc": {"big": 50.0}, "import_kw": 1e9}, {
         "battery_kw of big = 40000 is beyond the inverter's rating of 60 kVA",
@@ -261,63 +241,10 @@ def test_silent_batteries_hold_the_island_as_if_they_were_heard(
 # A reading that others contradict.
 
 
-@pytest.mark.parametrize("factor", [100.0, 0.001])
-def test_a_demand_far_from_its_forecast_is_estimated(live: Live, factor: float) -> None:
-    """The hospital's meter says W, or spikes, from the first step or the second on."""
-    http, clock = live
-    loads = {"hospital": 64.0, "shop": 42.0, "homes": 47.0}
-    for t in range(3):
-        clock.set(NOON + t * HOUR)
-        wrong = {**loads, "hospital": 64.0 * factor} if t != 1 else loads
-        http.post("/v1/telemetry", heard(clock.now()))
-        http.post("/v1/telemetry", {"series": readings(clock.now(), "load_kw", wrong)})
-        plan = http.post("/v1/steps").json()
-        assert plan["status"] == "ok", plan["solve"]
-        assert all(one["served"] for one in said(plan, "customers").values()), t
-        words = [one for one in plan["estimated"] if one.startswith("load hospital ")]
-        assert len(words) == (t != 1), plan["estimated"]
-
-
 def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
     """A new machine of the shop, ten times all that was expected: doubted for one step."""
     found = metered(site(tiny), [(500.0, 500.0)] * 3, "shop", SOC, horizon_h=2.0)
     assert ["load shop" in each.solve["estimated"] for each in found] == [True, False, False]
-
-
-@pytest.mark.parametrize(("others", "available"), [
-    ([], False),
-    ([("watch", "grid_on", NOON, 1.0)], True),
-    ([("watch", "grid_on", NOON - HOUR, 1.0)], False),
-    ([("meter", "import_kw", NOON, 80.0)], True),
-    ([("meter", "import_kw", NOON, -3.0)], True),
-    ([("meter", "import_kw", NOON, 2.5)], False),
-    ([("meter", "import_kw", NOON - HOUR, 80.0)], False),
-])  # fmt: skip
-def test_a_lost_grid_is_believed_unless_something_contradicts_it(
-    live: Live, others: list[Any], available: bool
-) -> None:
-    """Read at noon, decided 40 s later; what was read before the loss says nothing of it.
-
-    The demand is 153 kW: meters are off by up to 2.53 kW.
-    """
-    http, clock = live
-    now = NOON + pd.Timedelta("40s")
-    clock.set(now)
-    sent = readings(NOON, "grid_on", {"grid": 0.0}) + heard(NOON)["series"]
-    for source, quantity, time, value in others:
-        one = readings(time, quantity, {"grid": value})[0]
-        sent.append({**one, "source": source, "resolution": "PT30S"})
-    assert http.post("/v1/telemetry", {"series": sent}).status == 200
-    plan = http.post("/v1/steps").json()
-    assert plan["grid"]["available"] is available
-    assert any("is contradicted by" in one for one in plan["estimated"]) is available
-    raised = {one["kind"]: one for one in http.get("/v1/alarms").json()["alarms"]}
-    assert ("grid_contradicted" in raised) is available
-    if available:
-        source = others[0][0] if others[0][1] == "grid_on" else f"an import of {others[0][3]:g} kW"
-        words = f"grid_on = 0 of scada is contradicted by {source}"
-        assert raised["grid_contradicted"]["text"] == f"The plan ignores a reading: {words}."
-        assert raised["grid_contradicted"]["priority"] == "high"
 
 
 @pytest.mark.parametrize("horizon_h", [0.0, 2.0])

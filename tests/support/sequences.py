@@ -20,9 +20,13 @@ import yaml
 
 from tests.support.asgi import Answer, Caller
 from tests.support.live_service import HERE, NOON, heard, readings, serving
+from tests.support.page_words import NODE, first_lines
 from tests.support.sites import SITES
 from tests.support.three_phases import three_phases
 from vppres.day.options import RunOptions
+from vppres.day.reliability import reliability_by_tier
+from vppres.day.trajectory import taken
+from vppres.report.events import events_of
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
@@ -109,6 +113,7 @@ class Checks:
     has = staticmethod(lambda value, found: any(in_order(value, text) for text in texts(found)))
     has_not = staticmethod(lambda value, found: not any(value in text for text in texts(found)))
     begins = staticmethod(lambda value, found: any(text.startswith(value) for text in texts(found)))
+    ends = staticmethod(lambda value, found: any(text.endswith(value) for text in texts(found)))
     begins_not = staticmethod(
         lambda value, found: not any(text.startswith(value) for text in texts(found))
     )
@@ -120,6 +125,7 @@ class Checks:
         """Another than this."""
         return not self.matches(value, found)
 
+    contains = staticmethod(lambda value, found: value in found)
     within = staticmethod(lambda value, found: found in value)
     absent = staticmethod(lambda value, found: False)
 
@@ -230,7 +236,7 @@ Words.add_multi_constructor("!", _check)
 
 def read(text: str) -> Any:
     """A value in YAML."""
-    return yaml.load(text, Words)  # a safe loader with fewer types
+    return yaml.load(text.replace("!absent", "!absent ~"), Words)  # a safe loader with fewer types
 
 
 def at(value: Any, path: str) -> Any:
@@ -335,18 +341,17 @@ def _cases(
         yield Sequence(name, own, tuple(put_in(row, known) for row in rows), slow)
 
 
-def cases(*names: str) -> list[Any]:
+def case(file: Path, one: Sequence) -> Any:
+    """A sequence as a case of a test; what the page says is told by node."""
+    marks = [getattr(pytest.mark, one.mark)] if one.mark else []
+    if NODE is None and any(" page ->" in row for row in one.rows):
+        marks.append(pytest.mark.skip("no node on the path"))
+    return pytest.param(one, id=f"{file.stem}: {one.name}", marks=marks)
+
+
+def cases() -> list[Any]:
     """All sequences of the files as cases of a test."""
-    return [
-        pytest.param(
-            one,
-            id=f"{path.stem}: {one.name}",
-            marks=getattr(pytest.mark, one.mark) if one.mark else (),
-        )
-        for path in sorted(FOLDER.glob("*.txt"))
-        for one in sequences(path)
-        if not names or path.stem in names
-    ]
+    return [case(file, one) for file in sorted(FOLDER.glob("*.txt")) for one in sequences(file)]
 
 
 def service_of(given: Mapping[str, Any]) -> Service:
@@ -410,7 +415,7 @@ class Player:
         body = read(asked["body"]) if asked["body"] else None
         if asked["what"] == "look":
             self.runner.set_clock(now)
-        else:
+        elif asked["what"] != "check":
             self.clock.set(now)
         method, _, path = asked["what"].partition(" ")
         if not path:
@@ -444,6 +449,17 @@ class Player:
         self.runner.watch.check_alarms()
         return self.http.get("/v1/alarms")
 
+    def check(self, _: None) -> Answer:
+        """The alarms by the service's own clock, and what that says."""
+        self.runner.watch.check_alarms()
+        found = self.http.get("/v1/alarms").json()["alarms"]
+        return answered({"now": written(self.runner.clock.now()), "alarms": found})
+
+    def page(self, _: None) -> Answer:
+        """First lines of the page."""
+        site, overview = (self.http.get(f"/v1/{name}").json() for name in ("site", "overview"))
+        return answered(first_lines(site, overview, self.folder))
+
     def standing(self, _: None) -> Answer:
         """Alarms that are not cleared and whose condition is not gone."""
         found = self.http.get("/v1/alarms").json()["alarms"]
@@ -457,18 +473,30 @@ class Player:
         return answered(explained(question(self.runner, self.runner.last)))
 
     def reasons(self, _: None) -> Answer:
-        """What has changed since the last plan, in words."""
-        return answered({"reasons": list(self.runner.changes.reasons)})
+        """What has changed since the last plan, in words, and whether a new one is wanted at once."""
+        changes = self.runner.changes
+        return answered({"reasons": list(changes.reasons), "new": changes.new.is_set()})
 
     def export(self, span: dict[str, str]) -> Answer:
         """Tables of the run that is written out: columns over steps, of each asset if there are some."""
         run = export(self.service, self.folder, span["from"], span["to"])
         found: dict[str, Any] = {"steps": run.steps.to_dict("list")}
+        found["tiers"] = reliability_by_tier(run).to_dict("index")
+        found["events"] = [one.words for one in events_of(run)]
+        found["supplied"] = run.supplied.tolist()
+        found["off_min"] = (run.time_off * 60.0).tolist()
+        found["taken"] = taken(run.customers).tolist()
+        found["scenario"] = {name: values.tolist() for name, values in run.scenario.series.items()}
         for name, key in (("customers", "id"), ("batteries", "id"), ("gensets", "genset")):
             table = getattr(run, name)
             assets = [] if table is None or table.empty else table.groupby(key, sort=False)
             found[name] = {asset: rows.to_dict("list") for asset, rows in assets}
         return answered(found)
+
+    def listen(self, _: None) -> Answer:
+        """What was missed is looked for, as after a start."""
+        self.runner.hearing.look()
+        return answered({})
 
     def restart(self, _: None) -> Answer:
         """The service ends and begins again."""

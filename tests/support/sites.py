@@ -17,6 +17,7 @@ from tests.support.switching_service import switched
 from tests.support.three_phases import three_phases
 from tests.support.tiny_day import tiny_scenario
 from tests.support.vans import van
+from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
@@ -73,6 +74,23 @@ def dimming_shop() -> Scenario:
     return replace(day, customers=dimmable, load_kw=load_kw, pv_kw=0.0 * day.pv_kw)
 
 
+def quiet() -> Scenario:
+    """Every outage is announced."""
+    return replace(tiny(), outage_statistics=OutageStatistics("none"))
+
+
+def no_pv() -> Scenario:
+    """Without PV power."""
+    return replace(tiny(), pv_kw=0.0 * tiny().pv_kw)
+
+
+def last_former() -> Scenario:
+    """With a diesel that forms the grid where the battery, nearly empty, does not."""
+    forms = replace(tiny().batteries, grid_forming=[True, False])
+    sets = gensets(bus=[4], p_min_kw=10.0, grid_forming=True)
+    return replace(tiny(), batteries=forms, gensets=sets)
+
+
 def three_switches() -> Scenario:
     """The tie from 3 to 4, and a switch on each of the lines from 2."""
     none = np.nan
@@ -92,6 +110,9 @@ SITES: Mapping[str, Callable[[], Scenario]] = MappingProxyType(
         "charger": charger,
         "van": lambda: charger("24:00"),
         "dimming shop": dimming_shop,
+        "quiet": quiet,
+        "no pv": no_pv,
+        "last former": last_former,
         "switched": switched,
         "switched by phase": lambda: three_phases(switched()),
         "three switches": three_switches,
