@@ -451,7 +451,7 @@ class IsolatedSolver(WindowSolver):
         self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
         self._workers = workers
         self._compilations = 0
-        self._from().start()
+        (self._workers or shared_workers()).start()
 
     @property
     def compilations(self) -> int:
@@ -506,14 +506,11 @@ class IsolatedSolver(WindowSolver):
         task = Task(self._setup, method, (data, *args))
         # What decides on the problems that it needs.
         kind = method, data.n_steps, beyond_paper(self.site, data), data.moves is not None
-        reply = self._from().ask(
+        # After a fork they are others.
+        reply = (self._workers or shared_workers()).ask(
             task, kind, lambda compiled: self.deadline_s(data, compiled, within_s)
         )
         if reply.error is not None:
             raise reply.error
         self._compilations = reply.compilations
         return reply.value
-
-    def _from(self) -> Workers:
-        """Context of new processes; another after a fork."""
-        return self._workers or shared_workers()

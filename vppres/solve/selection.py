@@ -79,6 +79,8 @@ class Family:
 class Sheet:
     """The statement of a site and number of steps, compiled as far as it is asked for.
 
+    It is that of the page as it is; ``page`` are its functions, by which sheets are told apart.
+
     Attributes
     ----------
     statement : Statement
@@ -87,7 +89,9 @@ class Sheet:
         Columns of each letter in its shape.
     """
 
-    def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
+    def __init__(
+        self, site: Site, n_steps: int, beyond: Beyond = (), page: tuple[object, ...] = ()
+    ) -> None:
         self.statement = Statement(site, n_steps, beyond)
         self.site = site
         self.n_steps = n_steps

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
@@ -183,10 +183,5 @@ def fleets_of(data: WindowData) -> tuple[bool, ...]:
         return (True,)
     if not data.parts.whole:
         return (False,)
-    alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
+    alike = np.ptp(data.eta_charge) + np.ptp(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
-
-
-def _spread(values: Floats) -> float:
-    """Difference of the largest and the smallest value, 0 for none."""
-    return float(np.ptp(values)) if len(values) else 0.0

@@ -291,11 +291,6 @@ class Injections:
 
     # What a solution says.
 
-    def exchange_kw(self, x: Floats) -> tuple[Floats, Floats]:
-        """Import and export of a solution, (W,) each."""
-        exported = x[self.at("P_out")].reshape(self.data.n_steps, -1).sum(axis=1)
-        return np.maximum(x[self.at("P_grid")], 0.0), np.maximum(exported, 0.0)
-
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
         """A solution as a dispatch of a supply schedule; flows and voltages follow from it.
 
