@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.numerics import cost_scale, objective_scale
-from vppres.model.polygons import Polygon
+from vppres.model.numerics import Polygon, cost_scale, objective_scale
 from vppres.model.problem import page
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache

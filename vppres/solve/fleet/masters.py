@@ -62,11 +62,6 @@ class Master(Relaxation):
         self.stepwise = stepwise
         self.best: Flags | None = None
 
-    @property
-    def applies(self) -> bool:
-        """Whether weights and prices of switching have a grid."""
-        return self.unit > 0.0 and whole_price(self.data, self.unit)
-
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it.
 
@@ -165,7 +160,8 @@ def master_of(task: WindowTask, lumped: bool) -> Master | None:
         plain = plain and not task.own and not data.keeps_service
         task.masters[lumped] = Master(task, lumped, plain and lumped == fleets_of(data)[0])
     master = task.masters[lumped]
-    return master if master.applies else None
+    # Weights and prices of switching have a grid.
+    return master if master.unit > 0.0 and whole_price(data, master.unit) else None
 
 
 def fleet_master(task: WindowTask) -> Master | None:

@@ -218,11 +218,6 @@ class Injections:
         places = np.append(np.arange(self.size), signed), np.append(np.arange(self.size), taken)
         return sp.csc_array((values, places), shape=(self.size, self.size + len(signed)))
 
-    @property
-    def origin(self) -> Wholes:
-        """The column whose sum each of the parts enters, (size of the parts,)."""
-        return np.asarray(self.parts.indices)
-
     def feeders(self, of_bus: Wholes) -> Wholes:
         """Feeder of each column by those of the buses, -1 of the grid's and of what all share."""
         reach = self.reactance

@@ -300,7 +300,7 @@ class LargeMaster(NetworkMaster):
         total = 0.0
         open_ = np.repeat(~self.data.dark, len(self.site.customers)) | self.alone
         of_bus = feeder_of_buses(self.site.network)
-        of_column = self.model.feeders(of_bus)[self.model.origin]
+        of_column = self.model.feeders(of_bus)[self.model.parts.indices]
         cut = of_bus[1:][self.data.parts.lines.any(axis=0)]
         program = limited(self.network.with_cost(*self.lack), self.network.found)
         root = self.root[1]
