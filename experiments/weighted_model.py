@@ -17,8 +17,7 @@ from vppres.core.arrays import Floats
 from vppres.model import objective as terms
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
-from vppres.model.polygons import Polygon
+from vppres.model.numerics import Polygon, write
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.model.variables import Variables

@@ -31,7 +31,7 @@ from vppres.model.constraints import Named
 from vppres.model.data import Physics, WindowData
 from vppres.model.implied import battery_room, inverter_active
 from vppres.model.linearise import delta_offset
-from vppres.model.polygons import Polygon
+from vppres.model.numerics import Polygon
 from vppres.model.problem import PaperProblem, paper_constraints, paper_problem
 from vppres.model.site import Site
 from vppres.model.statement import Statement

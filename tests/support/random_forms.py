@@ -54,7 +54,7 @@ def with_draws(case: Window, seed: int, rng: Generator) -> WindowData:
     data = case.data
     shape = (data.n_steps, case.scenario.network.n_buses)
     drawn = Drawn(rng.uniform(-1.0, 2.0, shape), rng.uniform(-1.0, 1.0, shape))
-    return replace(data, drawn=drawn.where(data.grid_limit_kw > 0.0))
+    return replace(data, drawn=drawn.at(data.grid_limit_kw[:, None] > 0.0))
 
 
 def with_target(case: Window, seed: int, rng: Generator) -> WindowData:

@@ -245,7 +245,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         data,
         load_kw=data.load_kw * lit,
         pv_kw=data.pv_kw * lit,
-        drawn=data.drawn and data.drawn.where(~dark),
+        drawn=data.drawn and data.drawn.at(lit),
         switching=data.switching and data.switching.in_the_dark(dark),
         ahead=data.ahead.in_the_dark(lit),
     )

@@ -55,12 +55,8 @@ class Drawn(ByStep):
     kvar: Floats
 
     def at(self, buses: Flags) -> Drawn:
-        """Power drawn at some buses of each step, (W, N), and nothing at the others."""
+        """Power drawn at some buses of each step, (W, N), or in some steps, (W, 1)."""
         return Drawn(self.kw * buses, self.kvar * buses)
-
-    def where(self, steps: Flags) -> Drawn:
-        """Power drawn in some steps, (W,), and nothing in the others."""
-        return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
 
 
 def drawn_by(network: Network, v_pu: Floats | None, island: Flags, of_bus: Wholes) -> Drawn:

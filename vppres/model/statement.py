@@ -184,11 +184,6 @@ class Statement:
         return NETWORK.union(self.named("of_network"))
 
     @property
-    def apart(self) -> bool:
-        """Whether rows tell one PV system or battery from another."""
-        return any(addition.apart for addition in self.additions)
-
-    @property
     def own_letters(self) -> frozenset[str]:
         """Letters that your own families and term use."""
         of_term = {x.name() for x in self.terms["own"].variables()} if "own" in self.own else ()

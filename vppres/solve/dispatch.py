@@ -88,7 +88,8 @@ def keep_dispatch(
 
     A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
     """
-    if task.obeys_rules(served):
+    rules = task.data.switching
+    if rules is None or not rules.broken(served).any():
         task.certificate.keep(
             dispatch_of(task, served, network, before, charges, keeps_turns=keeps_turns)
         )

@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.numerics import cost_scale, objective_scale
-from vppres.model.polygons import Polygon
+from vppres.model.numerics import Polygon, cost_scale, objective_scale
 from vppres.model.problem import page
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
@@ -156,12 +155,7 @@ def sheet_of_draws(cache: ModelCache, data: WindowData) -> Sheet:
 
 def sheet_for(cache: ModelCache, n_steps: int, beyond: Beyond) -> Sheet:
     """The compiled statement of so many steps and of what is beyond the paper."""
-    return cache.problem(sheet_of_page, n_steps=n_steps, beyond=beyond, page=page())
-
-
-def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, ...]) -> Sheet:
-    """The compiled statement of the page as it is."""
-    return Sheet(site, n_steps, beyond)
+    return cache.problem(Sheet, n_steps=n_steps, beyond=beyond, page=page())
 
 
 def window_problem(

@@ -4,6 +4,8 @@ A solver is compiled code: it may crash, or wait for ever where no time limit of
 In a process of its own that costs a window its answer, and the controller nothing. The process is a
 fresh interpreter (``spawn``; HiGHS is never run in threads), is kept warm between windows and
 shared by all solvers of a thread. POSIX systems only: ``docs/operation.md``.
+
+Tasks and replies are pickled, which says where each ends: a stream of them needs nothing between.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +33,88 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolverLostError
 from vppres.core.parent import command
-from vppres.model.beyond_paper.table import beyond_paper
+from vppres.model.beyond_paper.table import beyond_paper, own_additions
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.site import Site
 from vppres.solve.cache import SITES_KEPT
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.tasks import OUT_OF_MEMORY, Reply, Setup, Task
+
+OUT_OF_MEMORY = 77
+"""Status with which a solver's process ends when memory runs out: no other end has it."""
+
+
+def _own_parts() -> tuple[str, ...]:
+    """Names of your own parts that are added in this process."""
+    return tuple(part.__qualname__ for part in own_additions())
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Setup of a solver; those of equal content are equal."""
+
+    #: Makes the solver of the fields that follow; a class or function of a module, so that its name
+    #: is all that crosses the socket.
+    factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
+    site: Site  #: fixed data
+    #: Names of the method and in the table of solvers.
+    method: str
+    solver: str
+    limits: SolveLimits  #: gaps and time limit of a window
+    polygon_sides: int  #: sides of an inverter's polygon
+    own: tuple[str, ...] = field(default_factory=_own_parts)  #: your own parts that the problem has
+
+    @cached_property
+    def key(self) -> str:
+        """Content in words."""
+        return (
+            f"{self.factory!r} {self.site.key} {self.method} {self.solver} {self.limits} "
+            f"{self.polygon_sides}"
+        )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Setup) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def make(self) -> WindowSolver:
+        """The solver.
+
+        Raises
+        ------
+        InputError
+            If the problem has parts of your own that this process does not know.
+        """
+        if self.own != _own_parts():
+            raise InputError.of(
+                "options",
+                f"does not know the problem's own parts ({', '.join(self.own)})",
+                "Solve in this process, or write them into the package's page.",
+                field="isolate",
+                value="true",
+            )
+        return self.factory(self.site, self.method, self.solver, self.limits, self.polygon_sides)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A method of a solver to be called."""
+
+    setup: Setup  #: of the solver
+    method: str  #: name of the method
+    args: tuple[Any, ...]  #: what it is called with
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """Reply to a task: a value or an error."""
+
+    value: Any = None
+    error: Exception | None = None
+    compilations: int = 0
+
 
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
@@ -451,7 +529,7 @@ class IsolatedSolver(WindowSolver):
         self._setup = Setup(factory, site, method, solver, self.limits, polygon_sides)
         self._workers = workers
         self._compilations = 0
-        self._from().start()
+        (self._workers or shared_workers()).start()
 
     @property
     def compilations(self) -> int:
@@ -506,14 +584,11 @@ class IsolatedSolver(WindowSolver):
         task = Task(self._setup, method, (data, *args))
         # What decides on the problems that it needs.
         kind = method, data.n_steps, beyond_paper(self.site, data), data.moves is not None
-        reply = self._from().ask(
+        # After a fork they are others.
+        reply = (self._workers or shared_workers()).ask(
             task, kind, lambda compiled: self.deadline_s(data, compiled, within_s)
         )
         if reply.error is not None:
             raise reply.error
         self._compilations = reply.compilations
         return reply.value
-
-    def _from(self) -> Workers:
-        """Context of new processes; another after a fork."""
-        return self._workers or shared_workers()

@@ -108,11 +108,9 @@ class Lumping:
                 return None
             rows = lumped
             if rows is not before:
-                used = np.unique(rows.column)
-                candidates = (f"all {name}", f"range {name}")
-                for each in candidates:
-                    if each in self.sheet.columns and np.isin(used, self.sheet.columns[each]).any():
-                        letters.append(each)
+                new = (f"all {name}", f"range {name}")
+                there = (each for each in new if each in self.sheet.columns)
+                letters += [each for each in there if self.sheet.used(each, rows)]
         return replace(family, rows=rows, letters=tuple(letters))
 
     def _blocks(self, rows: Linear, lump: Lump) -> tuple[Wholes, Wholes] | None:

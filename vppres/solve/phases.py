@@ -8,7 +8,7 @@ for nearly each asset: all at once they take most of the time of a window.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -72,11 +72,11 @@ class PhaseRows(Rows):
     which: ``LOW`` or ``HIGH`` of voltages, ``OF_FORMER`` or ``OF_RATING``.
     """
 
-    steps: Wholes = field(default_factory=lambda: np.zeros(0, dtype=int))
-    places: Wholes = field(default_factory=lambda: np.zeros(0, dtype=int))
-    side: int = LOW
-    by_p: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    by_q: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    steps: Wholes
+    places: Wholes
+    side: int
+    by_p: Floats
+    by_q: Floats
 
 
 class PhaseLimits:
@@ -119,7 +119,8 @@ class PhaseLimits:
             return []
         by_p, by_q = self._at(steps, nodes, lambda slopes: slopes.of_voltages)
         least = scale * (limit - self.phased.u_offset)[steps, nodes]
-        return self._rows(steps, scale * by_p.real, scale * by_q.real, least, nodes, side)
+        by = scale * by_p.real, scale * by_q.real
+        return [self._rows(steps, by, least, nodes, side)]
 
     def _at(self, steps: Wholes, places: Wholes, of: OfSlopes) -> tuple[Any, Any]:
         """Factors of some places in some steps, with the step's supply, (R, D) each."""
@@ -183,30 +184,18 @@ class PhaseLimits:
         found = []
         for beside in (0, 1, -1):
             turn = TOWARDS[(side + beside) % SIDES] / radius
-            by_p = -np.real(turn[:, None] * of_p)
-            by_q = -np.real(turn[:, None] * of_q)
+            by = -np.real(turn[:, None] * of_p), -np.real(turn[:, None] * of_q)
             least = np.real(turn * offset[steps, places]) - 1.0
-            found += self._rows(steps, by_p, by_q, least, places, kind)
+            found.append(self._rows(steps, by, least, places, kind))
         return found
 
     def _rows(
-        self,
-        steps: Wholes,
-        by_p: Floats,
-        by_q: Floats,
-        least: Floats,
-        places: Wholes,
-        side: int,
-    ) -> list[PhaseRows]:
+        self, steps: Wholes, by: tuple[Floats, Floats], least: Floats, places: Wholes, side: int
+    ) -> PhaseRows:
         """Rows ``by_p @ p + by_q @ q >= least`` of what assets draw in some steps, (R, D) each."""
-        matrix, kw, kvar = self.drawn.sums(steps, by_p, by_q)
-        least = least - kw - kvar
+        matrix, kw, kvar = self.drawn.sums(steps, *by)
         most = np.full(len(steps), np.inf)
-        return [
-            PhaseRows(
-                matrix, least, most, steps=steps, places=places, side=side, by_p=by_p, by_q=by_q
-            )
-        ]
+        return PhaseRows(matrix, least - kw - kvar, most, steps, places, side, *by)
 
 
 def drawn_by_assets(model: PhasedModel, data: WindowData, problem: Selected) -> ColumnPowers:

@@ -23,7 +23,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.polygons import Polygon
+from vppres.model.numerics import Polygon
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.solve.compiled import Affine, Linear, Numbers, affine, checked, joined
@@ -79,6 +79,8 @@ class Family:
 class Sheet:
     """The statement of a site and number of steps, compiled as far as it is asked for.
 
+    It is that of the page as it is; ``page`` are its functions, by which sheets are told apart.
+
     Attributes
     ----------
     statement : Statement
@@ -87,7 +89,9 @@ class Sheet:
         Columns of each letter in its shape.
     """
 
-    def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
+    def __init__(
+        self, site: Site, n_steps: int, beyond: Beyond = (), page: tuple[object, ...] = ()
+    ) -> None:
         self.statement = Statement(site, n_steps, beyond)
         self.site = site
         self.n_steps = n_steps
@@ -148,12 +152,9 @@ class Sheet:
     def longer_letter(self, name: str) -> int:
         """One more column, not negative, of such a letter."""
         before = self.columns.get(name, np.zeros(0, dtype=np.int64))
-        column = self.size
-        self.columns[name] = np.append(before, column)
-        self.lower = np.append(self.lower, 0.0)
-        self.upper = np.append(self.upper, np.inf)
-        self.whole[name] = False
-        return column
+        self._add_letter(name, (1,), np.zeros(1), np.full(1, np.inf), False)
+        self.columns[name] = np.append(before, self.columns[name])
+        return int(self.columns[name][-1])
 
     def parts(self, name: str) -> tuple[Family, ...]:
         """A family's rows, equalities apart from limits."""

@@ -24,9 +24,8 @@ from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.model.numerics import ROUNDING, disc_sides
+from vppres.model.numerics import ROUNDING, Polygon, disc_sides
 from vppres.model.phases import GRID, phased_model
-from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import shared_cache

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags
 from vppres.model.beyond_paper.at_end import kept_range
 from vppres.model.beyond_paper.ratings import has_ratings
 from vppres.model.data import WindowData
@@ -104,16 +103,6 @@ class WindowTask:
         return self.gap if best is None else self.limits.gap_at(best.value)
 
     @property
-    def gap_so_far(self) -> float:
-        """The same, but where there is none that of the bound, which says how much there may be.
-
-        Service and curtailment may cancel to a small part of all service.
-        """
-        known = self.certificate
-        by_bound = known.best is None and np.isfinite(known.bound)
-        return self.limits.gap_at(known.bound) if by_bound else self.gap_to_best
-
-    @property
     def is_large(self) -> bool:
         """Whether the window is large."""
         return is_large(self.site, self.data.n_steps)
@@ -127,10 +116,6 @@ class WindowTask:
     def is_huge(self) -> bool:
         """Whether the network is too large for anything to be compiled of it."""
         return is_huge(self.site)
-
-    def obeys_rules(self, served: Flags) -> bool:
-        """Whether a supply schedule breaks no switching rule."""
-        return self.data.switching is None or not self.data.switching.broken(served).any()
 
     # Time.
 
@@ -171,7 +156,9 @@ class WindowTask:
         whether the last search ended.
         """
         known = self.certificate
-        gap = self.gap_so_far
+        # Without a plan the bound says how much there may be: a small part of all service.
+        by_bound = known.best is None and np.isfinite(known.bound)
+        gap = self.limits.gap_at(known.bound) if by_bound else self.gap_to_best
         ended = search(share * gap)
         if not ended or known.best is None or self.deadline.passed:
             return ended

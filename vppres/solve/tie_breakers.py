@@ -17,9 +17,8 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.model.numerics import disc_sides
+from vppres.model.numerics import Polygon, disc_sides
 from vppres.model.objective import f4_squares, f5_squares
-from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.compiled import Numbers
 from vppres.solve.forms import DISCS, MODES, OF_PV, in_order

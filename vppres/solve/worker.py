@@ -19,8 +19,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from vppres.core.errors import SolveError
+from vppres.solve.isolated import OUT_OF_MEMORY, Reply, Setup, Task
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.tasks import OUT_OF_MEMORY, Reply, Setup, Task
 
 SOLVERS_KEPT = 8
 """Solvers of the last setups: whole fleet, parts of it, wider voltages, the first tier."""

@@ -41,21 +41,16 @@ def require_bounds(task: WindowTask) -> None:
     """
     unknown = not_bounded(task, lumped=False)
     if unknown:
+        name = unknown[0]
+        changed = name in task.sheet.statement.changed
+        said = f"a page without the paper's family {name}" if changed else f"the family {name}"
         raise InputError.of(
             "options",
-            f"does not bound {_named(task, unknown[0])}",
+            f"does not bound {'the term that paper_objective has' if name == 'own' else said}",
             "Use --method monolithic.",
             field="method",
             value="decomposed",
         )
-
-
-def _named(task: WindowTask, name: str) -> str:
-    """How the page differs from the paper's, in words."""
-    if name == "own":
-        return "the term that paper_objective has"
-    changed = name in task.sheet.statement.changed
-    return f"a page without the paper's family {name}" if changed else f"the family {name}"
 
 
 def not_bounded(task: WindowTask, lumped: bool) -> list[str]:

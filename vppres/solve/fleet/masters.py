@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
@@ -61,11 +61,6 @@ class Master(Relaxation):
         self.lumped = lumped
         self.stepwise = stepwise
         self.best: Flags | None = None
-
-    @property
-    def applies(self) -> bool:
-        """Whether weights and prices of switching have a grid."""
-        return self.unit > 0.0 and whole_price(self.data, self.unit)
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it.
@@ -165,7 +160,8 @@ def master_of(task: WindowTask, lumped: bool) -> Master | None:
         plain = plain and not task.own and not data.keeps_service
         task.masters[lumped] = Master(task, lumped, plain and lumped == fleets_of(data)[0])
     master = task.masters[lumped]
-    return master if master.applies else None
+    # Weights and prices of switching have a grid.
+    return master if master.unit > 0.0 and whole_price(data, master.unit) else None
 
 
 def fleet_master(task: WindowTask) -> Master | None:
@@ -183,10 +179,5 @@ def fleets_of(data: WindowData) -> tuple[bool, ...]:
         return (True,)
     if not data.parts.whole:
         return (False,)
-    alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
+    alike = np.ptp(data.eta_charge) + np.ptp(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
-
-
-def _spread(values: Floats) -> float:
-    """Difference of the largest and the smallest value, 0 for none."""
-    return float(np.ptp(values)) if len(values) else 0.0

@@ -65,7 +65,8 @@ class Fleet:
         self.left_out = sheet.statement.network_letters | {"Q_grid"}
         self.grid = weight_grid(site.customers.weight * site.dt_h)
         b = site.batteries
-        pv = np.ones(0 if sheet.statement.apart else len(site.pv))
+        apart = any(addition.apart for addition in sheet.statement.additions)
+        pv = np.ones(0 if apart else len(site.pv))
         letters = {name: pv for name in ("P_self", "P_exp", "P_curt") if len(pv)}
         if lumped and len(b):
             letters |= {"P_ch": np.ones(len(b)), "P_dch": np.ones(len(b)), "SoC": b.energy_kwh}

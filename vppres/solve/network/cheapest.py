@@ -101,15 +101,18 @@ class CheapestDispatch:
         which charge. In others modes are decided by binaries.
         """
         at = self.model.at
-        imported, exported = self.model.exchange_kw(answer.x)
+        exported = answer.x[at("P_out")].reshape(self.data.n_steps, -1).sum(axis=1)
+        imported, exported = np.maximum(answer.x[at("P_grid")], 0.0), np.maximum(exported, 0.0)
         unused = []
         if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
             unused += [at("P_out")[imported >= exported], at("P_grid")[imported < exported]]
         in_turns = self.network.is_large or self.data.phased
-        if in_turns and not self._storable(answer, served):
+        if in_turns:
+            dispatch = self.model.dispatch(self.network.columns(answer), served)
+            _, storable = net_modes(self.site, self.data, dispatch)
             if charges is None:
                 charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
-            unused += [at("P_dch")[charges], at("P_ch")[~charges]]
+            unused += [] if storable else [at("P_dch")[charges], at("P_ch")[~charges]]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
 
     def _out_of_turn(self, plan: Dispatch) -> Wholes:
@@ -124,8 +127,3 @@ class CheapestDispatch:
         rests &= at_items(self.data.with_grid, self.site.battery_bus)
         unused = at("P_dch")[rests | (given_kw < 0.0)], at("P_ch")[rests | (given_kw >= 0.0)]
         return np.concatenate(unused)
-
-    def _storable(self, answer: ProgramSolution, served: Flags) -> bool:
-        """Whether batteries can store what a solution charges less what it discharges."""
-        dispatch = self.model.dispatch(self.network.columns(answer), served)
-        return net_modes(self.site, self.data, dispatch)[1]

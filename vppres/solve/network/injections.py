@@ -218,11 +218,6 @@ class Injections:
         places = np.append(np.arange(self.size), signed), np.append(np.arange(self.size), taken)
         return sp.csc_array((values, places), shape=(self.size, self.size + len(signed)))
 
-    @property
-    def origin(self) -> Wholes:
-        """The column whose sum each of the parts enters, (size of the parts,)."""
-        return np.asarray(self.parts.indices)
-
     def feeders(self, of_bus: Wholes) -> Wholes:
         """Feeder of each column by those of the buses, -1 of the grid's and of what all share."""
         reach = self.reactance
@@ -290,11 +285,6 @@ class Injections:
         return None if self.limits.exceeded(found, tolerance_pu2) else found
 
     # What a solution says.
-
-    def exchange_kw(self, x: Floats) -> tuple[Floats, Floats]:
-        """Import and export of a solution, (W,) each."""
-        exported = x[self.at("P_out")].reshape(self.data.n_steps, -1).sum(axis=1)
-        return np.maximum(x[self.at("P_grid")], 0.0), np.maximum(exported, 0.0)
 
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
         """A solution as a dispatch of a supply schedule; flows and voltages follow from it.

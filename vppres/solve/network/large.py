@@ -209,26 +209,13 @@ class ServiceCuts:
     ) -> ProgramSolution:
         """A set of just so many units; infeasible where no set that is carried has them.
 
+        Whose service or lack of it would alone cost too much by the first bound is decided.
         ``held`` decides the customers that it supplies where it is not NaN: of others nothing is
         proven then.
         """
-        decided = np.flatnonzero(~np.isnan(held))
-        program = self._program(shares, units).with_held(decided, held[decided])
-        just = sp.csc_array(self.units[None, :])
-        limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
-        solver = program.with_rows(just, *limits).loaded(
-            1.0 - 2.0 * PREFERENCE, enough=PREFERENCE_LEFT - units
-        )
-        return ProgramSolution.of(solver, deadline)
-
-    def _program(self, shares: Floats, at_least: float) -> Program:
-        """The most units under all bounds, at least so many.
-
-        Whose service or lack of it would alone cost too much by the first bound is decided.
-        """
         away = 1.0 - shares
-        spare = self.first - at_least + self.raised
-        return Program(
+        spare = self.first - units + self.raised
+        program = Program(
             PREFERENCE / max(1.0, float(away.sum())) * away - self.units,
             (self.first_left < -spare).astype(float),
             (self.first_left <= spare) * self.able,
@@ -237,6 +224,14 @@ class ServiceCuts:
             np.array(self.most_units),
             np.arange(len(self.units)),
         )
+        decided = np.flatnonzero(~np.isnan(held))
+        program = program.with_held(decided, held[decided])
+        just = sp.csc_array(self.units[None, :])
+        limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
+        solver = program.with_rows(just, *limits).loaded(
+            1.0 - 2.0 * PREFERENCE, enough=PREFERENCE_LEFT - units
+        )
+        return ProgramSolution.of(solver, deadline)
 
 
 class LargeMaster(NetworkMaster):
@@ -305,7 +300,7 @@ class LargeMaster(NetworkMaster):
         total = 0.0
         open_ = np.repeat(~self.data.dark, len(self.site.customers)) | self.alone
         of_bus = feeder_of_buses(self.site.network)
-        of_column = self.model.feeders(of_bus)[self.model.origin]
+        of_column = self.model.feeders(of_bus)[self.model.parts.indices]
         cut = of_bus[1:][self.data.parts.lines.any(axis=0)]
         program = limited(self.network.with_cost(*self.lack), self.network.found)
         root = self.root[1]
