@@ -18,8 +18,8 @@ from vppres.core.errors import InputError
 from vppres.feeders import import_network
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.reconfiguration import ConfigurationLimits, SwitchedNetwork, least_loss
-from vppres.feeders.reconfiguration.choice import branch_names, switched_network
 from vppres.feeders.reconfiguration.flows import ConfigurationFlows
+from vppres.feeders.reconfiguration.loops import branch_names, switched_network
 from vppres.feeders.reconfiguration.search import NO_LIMITS
 from vppres.feeders.reconfiguration.words import open_names, outcome_words
 from vppres.physics.powerflow import ACPowerFlow

@@ -17,8 +17,8 @@ from vppres.cli.commands import app
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario, write_new_scenario
-from vppres.feeders.reconfiguration.choice import switched_network
 from vppres.feeders.reconfiguration.folder import injection_at, step_of, with_configuration
+from vppres.feeders.reconfiguration.loops import switched_network
 from vppres.feeders.reconfiguration.search import NO_LIMITS, least_loss
 from vppres.io import read_scenario, write_scenario
 from vppres.physics.powerflow import ACPowerFlow

@@ -16,7 +16,7 @@ from tests.support.three_phases import three_phases
 from vppres.core.arrays import Flags
 from vppres.feeders import import_network
 from vppres.feeders.reconfiguration.by_phase import FlowInStates
-from vppres.feeders.reconfiguration.choice import switched_network
+from vppres.feeders.reconfiguration.loops import switched_network
 from vppres.feeders.reconfiguration.meshed import MeshedFlow
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
 from vppres.feeders.reconfiguration.sequence import SwitchingOrder, safe_order

@@ -485,8 +485,8 @@ def reconfigure(
 ) -> None:
     """Find the radial configuration of a feeder with the least losses within its limits."""
     from vppres.feeders.reconfiguration import ConfigurationLimits, least_loss
-    from vppres.feeders.reconfiguration.choice import switched_network
     from vppres.feeders.reconfiguration.folder import with_configuration
+    from vppres.feeders.reconfiguration.loops import switched_network
     from vppres.feeders.reconfiguration.sources import feeder_of_network, feeder_of_scenario
     from vppres.feeders.reconfiguration.words import (
         count_words,

@@ -78,6 +78,12 @@ class Items:
     def __len__(self) -> int:
         return len(next(iter(vars(self).values())))
 
+    @classmethod
+    def none(cls) -> Self:
+        """No item."""
+        items: Any = cls
+        return cls(**{f.name: no_items() for f in fields(items)})
+
     def rows(self, which: Flags | Wholes | slice) -> Self:
         """Some of the items."""
         items: Any = self

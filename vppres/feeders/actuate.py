@@ -8,7 +8,7 @@ that of the scenario.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,16 +158,9 @@ class PowerTables:
         for kind, units in self.kinds.items():
             where, word = KINDS[kind].element
             if where == element:
-                table = _beside(table, units, word)
+                own = units[["bus", "p_kw"]].assign(q_kvar=0.0)
+                table = pd.concat([table, own.rename(index=f"{word} {{}}".format)])
         return table
-
-
-def _beside(table: pd.DataFrame, more: pd.DataFrame | None, word: str) -> pd.DataFrame:
-    """A table with other assets below it, whose power factor is 1."""
-    if more is None:
-        return table
-    named = more[["bus", "p_kw"]].assign(q_kvar=0.0).rename(index=f"{word} {{}}".format)
-    return pd.concat([table, named])
 
 
 def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> None:
@@ -177,8 +170,7 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> 
     the scenario for every supplied bus of the net.
     """
     bus_in_net = {bus: source for source, bus in reversed([*bus_of.items()])}
-    problems = _unknown_buses(powers, bus_in_net) + _without_load(net, bus_of, powers.customers)
-    if problems:
+    if problems := [*_unfit(net, bus_of, powers)]:
         raise InputError(problems)
     feeding = powers.feeding
     put_back(net)
@@ -194,42 +186,25 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> 
             _write(net, table, str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
 
 
-def _unknown_buses(powers: PowerTables, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
-    """Buses of the step that the net does not have."""
+def _unfit(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> Iterator[Problem]:
+    """Buses of the step that the net does not have, and customers where it never had a load."""
     tables = (powers.drawn, powers.fed, powers.stored, powers.feeding.fixed)
-    items = pd.concat([table["bus"] for table in tables])
-    return [
-        Problem(
-            "set-points",
-            "is not a bus of the net",
-            "Give the net and the feeder that the scenario was made from.",
-            field=f"bus of {name}",
-            value=bus,
-        )
-        for name, bus in items.items()
-        if bus not in bus_in_net
-    ]
-
-
-def _without_load(net: Any, bus_of: Mapping[int, BusId], customers: pd.DataFrame) -> list[Problem]:
-    """Customers at buses where the net never had a load."""
     loaded = {
         bus_of.get(int(bus))
         for table in DEMAND
         if table in net
         for bus in net[table].loc[~ours(net[table], PUT), "bus"]
     }
-    return [
-        Problem(
-            "set-points",
-            "the net has no load at this bus",
-            "Give the net that the scenario was made from.",
-            field=f"bus of {name}",
-            value=bus,
-        )
-        for name, bus in customers["bus"].items()
-        if bus not in loaded
-    ]
+    whole = "Give the net and the feeder that the scenario was made from."
+    own = "Give the net that the scenario was made from."
+    of_step = pd.concat([table["bus"] for table in tables])
+    for rows, known, message, cure in (
+        (of_step, {*bus_of.values()}, "is not a bus of the net", whole),
+        (powers.customers["bus"], loaded, "the net has no load at this bus", own),
+    ):
+        for name, bus in rows.items():
+            if bus not in known:
+                yield Problem("set-points", message, cure, field=f"bus of {name}", value=bus)
 
 
 def _switch_off(net: Any, bus_of: Mapping[int, BusId]) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
+from vppres.core.arrays import Floats, Items, Names, freeze_arrays
 from vppres.scenario.assets import TIER_WEIGHTS
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
@@ -30,17 +30,8 @@ def highest_tier(tiers: Iterable[str]) -> str:
     return min(filter(None, tiers), key=lambda tier: order.get(tier, -1), default="")
 
 
-class _Elements(Items):
-    """Elements of the source."""
-
-    @classmethod
-    def none(cls) -> Self:
-        """No element."""
-        return cls(**{name: no_items() for name in cls.__annotations__})
-
-
 @dataclass(frozen=True, eq=False)
-class Generators(_Elements):
+class Generators(Items):
     """Generators that the source has, shape (G,) each; injection is positive.
 
     ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
@@ -62,7 +53,7 @@ class Generators(_Elements):
 
 
 @dataclass(frozen=True, eq=False)
-class Loads(_Elements):
+class Loads(Items):
     """Single loads of the source, shape (E,) each: as they are given, drawn power is positive.
 
     ``tier`` is what the source's column names; empty where it names none.
@@ -91,7 +82,7 @@ class Profile:
 
 
 @dataclass(frozen=True, eq=False)
-class Storages(_Elements):
+class Storages(Items):
     """Batteries that the source has, shape (S,) each.
 
     ``p_kw`` (charging is positive) and ``q_kvar`` (drawn is positive) are the operating point that

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
-from typing import Self
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -73,11 +72,6 @@ class Switches(Items):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(self.id), default, dtype=object))
         super().__post_init__()
-
-    @classmethod
-    def none(cls) -> Self:
-        """No switch."""
-        return cls(**{f.name: no_items() for f in fields(cls)})
 
     @property
     def movable(self) -> Flags:

@@ -16,6 +16,7 @@ from vppres.feeders.dss.recheck import (
     Recheck,
     Tables,
     drawn,
+    held_v,
     side_by_side,
     solved_steps,
     step_jobs,
@@ -118,24 +119,13 @@ def _steps(
     """Power of each asset in every step, and the voltage that is held in islands."""
     wide = drawn(run).pivot(index="time", columns="id", values=["p", "q"])
     p_kw, q_kvar = (wide[each][assets] for each in ("p", "q"))
-    held_v = _held_v(run, phases, former)
+    bus = None if former is None else phases.by_bus[phases.connection(former).bus]
+    base_v = np.nan if bus is None else V_PER_KV * bus.kv / np.sqrt(3)
+    held = held_v(run, "nodes", None if bus is None else bus.bus, base_v)
     if former is not None:
-        island = held_v.dropna().index
+        island = held.dropna().index
         p_kw.loc[island, former] = q_kvar.loc[island, former] = 0.0  # the source stands for it
-    return step_jobs(run["steps"]["time"], p_kw, q_kvar, held_v)
-
-
-def _held_v(run: Tables, phases: Phases, former: str | None) -> pd.Series[float]:
-    """Volts to ground of the former's bus in the steps without grid that have them."""
-    steps = run["steps"].set_index("time")
-    if former is None:
-        return pd.Series(np.nan, steps.index)
-    row = phases.by_bus[phases.connection(former).bus]
-    nodes = run["nodes"][run["nodes"]["bus"] == row.bus]
-    v_pu = nodes.groupby("time")["v_ac_pu"].first().reindex(steps.index)
-    volts = V_PER_KV * row.kv / np.sqrt(3)
-    held_v: pd.Series[float] = v_pu.where(steps["outage"].astype(bool)) * volts
-    return held_v
+    return step_jobs(run["steps"]["time"], p_kw, q_kvar, held)
 
 
 def _voltages(

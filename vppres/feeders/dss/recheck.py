@@ -202,19 +202,22 @@ def _steps(run: Tables, circuit: _Circuit, island_bus: BusId | None, name: str) 
         at_feeds = wide[False][feeds].to_numpy() if feeds else at_loads[:, :0]
         powers.append(pd.DataFrame(np.hstack([at_loads, at_feeds]), wide.index))
     assets = [{"load": each} for each in loads["name"]] + [{"bus": bus} for bus in feeds]
-    held_v = _held(run, island_bus) * circuit.base_v.get(str(island_bus), np.nan)
+    held = held_v(run, "buses", island_bus, circuit.base_v.get(str(island_bus), np.nan))
     return {
         "assets": assets,
-        "steps": step_jobs(run["steps"]["time"], powers[0], powers[1], held_v),
+        "steps": step_jobs(run["steps"]["time"], powers[0], powers[1], held),
     }
 
 
-def _held(run: Tables, island_bus: BusId | None) -> pd.Series[float]:
-    """Voltage that the plan has at the island's bus, of the steps without grid, in pu."""
-    outages = run["steps"].loc[run["steps"]["outage"].astype(bool), "time"]
-    buses = run["buses"][run["buses"]["bus"].astype(str) == str(island_bus)]
-    v_pu: pd.Series[float] = buses.set_index("time")["v_ac_pu"].reindex(outages)
-    return v_pu
+def held_v(run: Tables, table: str, bus: object, base_v: float) -> pd.Series[float]:
+    """Volts that the plan has at the bus that holds islands in steps without grid; NaN in others.
+
+    ``table`` has the plan's voltages; ``base_v`` are its nominal volts.
+    """
+    steps, nodes = run["steps"].set_index("time"), run[table]
+    own = nodes[nodes["bus"].astype(str) == str(bus)].groupby("time")["v_ac_pu"].first()
+    volts: pd.Series[float] = base_v * own.reindex(steps.index).where(steps["outage"].astype(bool))
+    return volts
 
 
 def _voltages(run: Tables, found: dict[str, Any], circuit: _Circuit) -> pd.DataFrame:

@@ -12,8 +12,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError, Problem
-from vppres.feeders.matpower.names import ALL
-from vppres.feeders.matpower.text import CURE, Refused, tables_of, words_of
+from vppres.feeders.matpower.text import ALL, CURE, Refused, tables_of, words_of
 from vppres.feeders.net.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
 from vppres.feeders.strangers.confined import confined
 from vppres.feeders.strangers.files import read_bytes, read_text

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.errors import InputError
-from vppres.feeders.feeder import PhasedLoad, PhasedSource
+from vppres.feeders.feeder import PhasedSource
 from vppres.feeders.net.names import name_in
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.earthing import floating
@@ -76,7 +76,13 @@ def connected(
     loads = {customer_of(load.connection.id): load for load in source.loads if load.kind == LOAD}
     rows = [replace(loads[str(each)].connection, id=str(each)) for each in customers.id]
     for system, owner, bus in zip(pv.id, pv.customer, pv.buses(customers), strict=True):
-        own = [each for each in _generators(source, bus) if each.connection not in engines.values()]
+        own = [
+            each
+            for each in source.loads
+            if each.kind not in (LOAD, STORAGE)
+            and each.bus == bus
+            and each.connection not in engines.values()
+        ]
         if own:
             if len({(load.connection.coils, load.connection.bus) for load in own}) > 1:
                 raise InputError.of(
@@ -97,11 +103,6 @@ def connected(
     rows += [_of_battery(source.phases, at_customer[str(each)], each) for each in batteries.id]
     rows += [_constant(row, name) for name, row in engines.items() if row is not None]
     return replace(source.phases, connections=tuple(rows))
-
-
-def _generators(source: PhasedSource, bus: object) -> list[PhasedLoad]:
-    others = [load for load in source.loads if load.kind not in (LOAD, STORAGE)]
-    return [load for load in others if load.bus == bus]
 
 
 def _constant(row: PhaseConnection, asset: str) -> PhaseConnection:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes
 from vppres.feeders.reconfiguration.by_phase import FlowInStates
 from vppres.feeders.reconfiguration.meshed import MeshedFlow, PartFlow
 from vppres.feeders.reconfiguration.search import WITHIN, ConfigurationLimits
@@ -33,11 +32,6 @@ class Formers(Items):
     #: Set-points, which are part of the injections of their buses.
     p_kw: Floats
     q_kvar: Floats
-
-    @classmethod
-    def none(cls) -> Self:
-        """No device."""
-        return cls(*(no_items() for _ in range(7)))
 
 
 @dataclass(frozen=True, eq=False)

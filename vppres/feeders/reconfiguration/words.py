@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from vppres.core.text import named
-from vppres.feeders.reconfiguration.choice import branch_names
-from vppres.feeders.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork, branch_names
 from vppres.feeders.reconfiguration.search import (
     SAME_KW,
     Configuration,
