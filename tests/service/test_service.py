@@ -268,6 +268,12 @@ def test_hostile_requests_get_a_problem_and_change_nothing(live: Live) -> None:
     assert http.get("/v1/events").json() == {}
 
 
+def test_a_reading_is_of_one_device(tiny: Scenario) -> None:
+    alike = replace(tiny.batteries, id=np.array(["big", str(tiny.customers.id[0])], dtype=object))
+    with pytest.raises(InputError, match="two devices, and a reading of online says not whose"):
+        Service(site(replace(tiny, batteries=alike)), HERE)
+
+
 def test_the_interface_is_the_one_that_is_published(live: Live) -> None:
     """``docs/_static/openapi.json``; write it anew where the change is meant."""
     http, _ = live

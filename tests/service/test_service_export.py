@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,6 +133,20 @@ def test_prices_and_limits_are_those_that_were_known(tiny: Scenario, tmp_path: P
     assert run.scenario.price_gbp_per_kwh.tolist() == [0.5, 0.61, 0.71, 0.81, profile[16]]
     # Two o'clock was switched off; of three, which was missed, it is known what had been said.
     assert run.scenario.grid_limit_kw.tolist() == [np.inf, 55.0, 55.0, 5.0, 5.0]
+
+
+def test_a_database_of_an_earlier_version_is_exported(tiny: Scenario, tmp_path: Path) -> None:
+    """It lacks what came later, and nothing is added to what is only read."""
+    clock = SetClock(NOON)
+    service = Service(site(tiny), HERE)
+    price = {"type": "price", "start": written(NOON), "resolution": "PT1H"}
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/tariff", {**price, "price_gbp_per_kwh": [0.51]})
+        decided(http, clock, NOON)
+    with closing(sqlite3.connect(tmp_path / "service.db")) as db:
+        db.execute("DROP TABLE written_events")
+    run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    assert run.scenario.price_gbp_per_kwh.tolist() == [0.51]
 
 
 def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path: Path) -> None:

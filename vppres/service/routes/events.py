@@ -83,7 +83,7 @@ def delete_event(
 @router.post("/v1/openadr/events", status_code=201)
 def openadr(by: Announcer, body: OpenADREvent) -> dict[str, Any]:
     """An event of OpenADR 3 as it stands; it replaces all that an earlier one of it said."""
-    found, ignored = events_of(body, believes(by.runner.options))
+    found, ignored = events_of(body, believes(by.runner.options), by.runner.clock.now())
     _put(by, body.name, found, those_of(body, by.runner.store.events()))
     return {"events": list(found), "ignored": ignored}
 

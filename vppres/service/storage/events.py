@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from vppres.service.payloads import Forecasts
 from vppres.service.storage.records import ChangedError, Event, seconds
-from vppres.service.storage.tables import EVENTS, FORECASTS, note, put
+from vppres.service.storage.tables import EVENTS, FORECASTS, WRITTEN, note, put
 from vppres.service.storage.transactions import Transactions
 
 
@@ -49,18 +49,26 @@ class StoredEvents(Transactions):
         return found
 
     def events(self) -> dict[str, Event]:
-        """The latest version of each event that holds."""
-        last = {name: each[-1] for name, each in self.events_ever().items()}
-        return {name: event for name, event in last.items() if event.body}
+        """The latest version of each event that holds, in the order in which they were written."""
+        return {name: each[-1] for name, each in self.events_ever().items() if each[-1].body}
 
     def events_ever(self) -> dict[str, list[Event]]:
-        """All versions of every event that are kept, in their order; without body if withdrawn."""
+        """All versions of every event that are kept, in their order; without body if withdrawn.
+
+        The event that was written last comes last.
+        """
         # Nothing else writes here, so that what was read holds until an event changes.
         seen = self._event_changes
         if self._events_known[0] != seen or self._reading:
             found: dict[str, list[Event]] = {}
-            for row in self._rows(sa.select(EVENTS).order_by(EVENTS.c.id, EVENTS.c.version)):
-                earlier = found.setdefault(row.id, [])
+            e, w = EVENTS.c, WRITTEN.c
+            chosen = sa.select(EVENTS)
+            if WRITTEN.name in self._tables:
+                both = sa.and_(e.id == w.id, e.version == w.version)
+                # Those of a database that did not count them come first.
+                chosen = chosen.outerjoin(WRITTEN, both).order_by(sa.func.coalesce(w.number, 0))
+            for row in self._rows(chosen.order_by(e.made_at, e.id, e.version)):
+                earlier = found[row.id] = found.pop(row.id, [])
                 goes_on = earlier and earlier[-1].body
                 since = earlier[-1].since if goes_on else row.made_at
                 earlier.append(Event(row.version, row.body or {}, row.made_at, since))
@@ -113,4 +121,5 @@ def _put_event(
     db.execute(
         EVENTS.insert().values(id=identifier, version=version, made_at=at, body=body or None)
     )
+    db.execute(WRITTEN.insert().values(id=identifier, version=version))
     return Event(version, dict(body), at, at, new=not holds)

@@ -20,6 +20,7 @@ from vppres.service.storage.tables import (
     MEASURED,
     STEPS,
     TELEMETRY,
+    WRITTEN,
 )
 
 
@@ -33,7 +34,7 @@ class Store(StoredReadings, StoredEvents, StoredAnswers, StoredAlarms, StoredSet
         has a time of its own.
         """
         at = seconds(before)
-        e, f = EVENTS.c, FORECASTS.c
+        e, f, w = EVENTS.c, FORECASTS.c, WRITTEN.c
         newest = sa.select(sa.func.max(f.issued_at)).group_by(f.quantity)
         later = EVENTS.alias("later")
         replaced = sa.exists().where(later.c.id == e.id, later.c.version > e.version)
@@ -46,6 +47,7 @@ class Store(StoredReadings, StoredEvents, StoredAnswers, StoredAlarms, StoredSet
             FORECASTS: sa.and_(f.issued_at < at, f.issued_at.not_in(newest)),
             ALARMS: ALARMS.c.cleared_at < at,
             EVENTS: sa.and_(e.made_at < at, sa.or_(replaced, e.body.is_(None))),
+            WRITTEN: sa.not_(sa.exists().where(e.id == w.id, e.version == w.version)),
         }
         with self._changes(routine=True) as db:
             for table, old in too_old.items():

@@ -84,6 +84,9 @@ EVENTS = _table(
     made_at=int,
     body=SortedJson | None,  # none: withdrawn
 )
+WRITTEN = _table("written_events", "number", number=int, id=str, version=int)
+"""The order in which versions of events were written, also of those of the same second."""
+
 FORECASTS = _table("forecasts", "quantity issued_at", quantity=str, issued_at=int, body=SortedJson)
 STEPS = _table("steps", "time", time=int, outcome=str, plan=Json)
 OUTCOMES = _table("outcomes", "outcome", outcome=str, steps=int)
