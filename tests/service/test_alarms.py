@@ -19,8 +19,8 @@ from tests.support.live_service import (
 )
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.alarms.conditions import Situation, conditions, situation
-from vppres.service.alarms.state import KINDS, Alarms, Notice
+from vppres.service.alarms.conditions import KINDS, Situation, conditions, situation
+from vppres.service.alarms.state import Alarms, Notice
 from vppres.service.clock import SetClock, written
 from vppres.service.http.app import make_app
 from vppres.service.operation.runner import Runner

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,6 +102,20 @@ def test_what_was_measured_stands_over_the_profile(tiny: Scenario, tmp_path: Pat
     assert shop[:2] == [33.0, 34.0] and shop[3] == 36.0
     big = run.batteries[run.batteries["id"] == "big"]["soc_start"]
     assert big.tolist()[0] == 0.5 and big.tolist()[3] == pytest.approx(0.8)
+
+
+def test_a_database_of_an_earlier_version_is_exported(tiny: Scenario, tmp_path: Path) -> None:
+    """It lacks what came later, and nothing is added to what is only read."""
+    clock = SetClock(NOON)
+    service = Service(site(tiny), HERE)
+    price = {"type": "price", "start": written(NOON), "resolution": "PT1H"}
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/tariff", {**price, "price_gbp_per_kwh": [0.51]})
+        decided(http, clock, NOON)
+    with closing(sqlite3.connect(tmp_path / "service.db")) as db:
+        db.execute("DROP TABLE written_events")
+    run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    assert run.scenario.price_gbp_per_kwh.tolist() == [0.51]
 
 
 def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -175,26 +175,6 @@ def failing_now(
     out = [name for kind in every().values() for name in kind.out(plan)]
     units = dict.fromkeys(out, "it does not start")
     return {**batteries, **lost_customers(scenario, latest.newest(ONLINE), store), **units}
-
-
-def conditions(now: Situation) -> Iterator[Condition]:
-    """All that is wrong."""
-    yield from _no_decision(now)
-    yield from _grid_contradicted(now)
-    yield from _grid_lost(now)
-    yield from _off_with_grid(now)
-    yield from _lines_out(now)
-    yield from _switching_stopped(now)
-    yield from _one_former_left(now)
-    yield from _shed(now)
-    yield from _critical_off(now)
-    yield from _switch_proposed(now)
-    yield from _longest_off(now)
-    yield from _island_margin(now)
-    yield from _fallback(now)
-    yield from _source_lost(now)
-    yield from _setpoint_rejected(now)
-    yield from _notices_undelivered(now)
 
 
 def _no_decision(now: Situation) -> Iterator[Condition]:
@@ -480,3 +460,86 @@ def _notices_undelivered(now: Situation) -> Iterator[Condition]:
     for name in now.unreached:
         text = f"The last notice of an alarm did not reach {name}."
         yield Condition("notices_undelivered", name, MEDIUM, text)
+
+
+@dataclass(frozen=True)
+class AlarmKind:
+    """Kind of alarm: its condition, delays and advice."""
+
+    found: Callable[[Situation], Iterator[Condition]]  #: all that is wrong of this kind
+    advice: str  #: what an operator can do
+    #: How long the condition lasts before it is raised, and is gone before it is cleared.
+    delay_min: float = 0.0
+    gone_min: float = 0.0
+
+
+KINDS = {
+    "no_decision": AlarmKind(
+        _no_decision,
+        "Look at the log of the service. Until it decides again, set devices by hand.",
+        delay_min=1.0,
+    ),
+    "grid_contradicted": AlarmKind(
+        _grid_contradicted,
+        "Ask on site whether there is grid. If there is none, announce an outage; "
+        "then check both sources.",
+        gone_min=5.0,
+    ),
+    "grid_lost": AlarmKind(
+        _grid_lost, "Ask the network operator how long it will last, and record it as an event."
+    ),
+    "off_with_grid": AlarmKind(
+        _off_with_grid,
+        "Look at the reason. If the mode, a limit of import or an open switch is yours, change it.",
+    ),
+    "line_out": AlarmKind(
+        _lines_out, "Put its event again when the expected end changes, and when it is repaired."
+    ),
+    "switching_stopped": AlarmKind(
+        _switching_stopped,
+        "Ask on site for the state of the switch. Then ask anew for the states that are to be "
+        "reached, or withdraw the order.",
+    ),
+    "one_former_left": AlarmKind(
+        _one_former_left,
+        "Bring back what cannot form the grid, or bring a generator that can: "
+        "without any, nobody is supplied in an island.",
+    ),
+    "shed": AlarmKind(
+        _shed, "Disconnect other customers by hand where these are more urgent; look at the log."
+    ),
+    "critical_off": AlarmKind(
+        _critical_off,
+        "Check the state of charge on site. Bring a generator, or switch by hand.",
+        gone_min=10.0,
+    ),
+    "switch_proposed": AlarmKind(
+        _switch_proposed,
+        "Look at the operations proposed; ask for them here or by PUT /v1/switching.",
+    ),
+    "longest_off": AlarmKind(
+        _longest_off,
+        "Ask the customer how long its own backup lasts. Bring a generator, or switch by hand.",
+    ),
+    "island_margin": AlarmKind(
+        _island_margin, "Bring a generator, or disconnect further customers by hand.", gone_min=15.0
+    ),
+    "fallback": AlarmKind(
+        _fallback, "Look at the reason and at the log. Check the set-points.", delay_min=30.0
+    ),
+    "source_lost": AlarmKind(
+        _source_lost, "Check the source and its connection.", delay_min=5.0, gone_min=5.0
+    ),
+    "setpoint_rejected": AlarmKind(_setpoint_rejected, "Check the device on site."),
+    "notices_undelivered": AlarmKind(
+        _notices_undelivered,
+        "Check the address of --notify and its server; look at this list until then.",
+    ),
+}
+"""Delays outlast a reading that is late, and a plan that changes its mind from step to step."""
+
+
+def conditions(now: Situation) -> Iterator[Condition]:
+    """All that is wrong."""
+    for kind in KINDS.values():
+        yield from kind.found(now)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pandas as pd
 
-from vppres.service.alarms.conditions import PRIORITIES
+from vppres.service.alarms.conditions import KINDS, PRIORITIES
 from vppres.service.clock import written
 from vppres.service.storage.records import AlarmRow, Condition, moment, seconds
 from vppres.service.storage.store import Store
@@ -32,78 +32,6 @@ STATES = ("raised", "acknowledged", "shelved", "cleared", "closed")
 """Those to be seen first come first."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class AlarmKind:
-    """Kind of alarm: title, severity and advice."""
-
-    #: How long the condition lasts before it is raised, and is gone before it is cleared.
-    delay_min: float
-    gone_min: float
-    advice: str  #: what an operator can do
-
-
-KINDS = {
-    "no_decision": AlarmKind(
-        1.0, 0.0, "Look at the log of the service. Until it decides again, set devices by hand."
-    ),
-    "grid_contradicted": AlarmKind(
-        0.0,
-        5.0,
-        "Ask on site whether there is grid. If there is none, announce an outage; "
-        "then check both sources.",
-    ),
-    "grid_lost": AlarmKind(
-        0.0, 0.0, "Ask the network operator how long it will last, and record it as an event."
-    ),
-    "off_with_grid": AlarmKind(
-        0.0,
-        0.0,
-        "Look at the reason. If the mode, a limit of import or an open switch is yours, change it.",
-    ),
-    "line_out": AlarmKind(
-        0.0, 0.0, "Put its event again when the expected end changes, and when it is repaired."
-    ),
-    "switching_stopped": AlarmKind(
-        0.0,
-        0.0,
-        "Ask on site for the state of the switch. Then ask anew for the states that are to be "
-        "reached, or withdraw the order.",
-    ),
-    "one_former_left": AlarmKind(
-        0.0,
-        0.0,
-        "Bring back what cannot form the grid, or bring a generator that can: "
-        "without any, nobody is supplied in an island.",
-    ),
-    "shed": AlarmKind(
-        0.0, 0.0, "Disconnect other customers by hand where these are more urgent; look at the log."
-    ),
-    "critical_off": AlarmKind(
-        0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
-    ),
-    "switch_proposed": AlarmKind(
-        0.0,
-        0.0,
-        "Look at the operations proposed; ask for them here or by PUT /v1/switching.",
-    ),
-    "longest_off": AlarmKind(
-        0.0,
-        0.0,
-        "Ask the customer how long its own backup lasts. Bring a generator, or switch by hand.",
-    ),
-    "island_margin": AlarmKind(
-        0.0, 15.0, "Bring a generator, or disconnect further customers by hand."
-    ),
-    "fallback": AlarmKind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
-    "source_lost": AlarmKind(5.0, 5.0, "Check the source and its connection."),
-    "setpoint_rejected": AlarmKind(0.0, 0.0, "Check the device on site."),
-    "notices_undelivered": AlarmKind(
-        0.0, 0.0, "Check the address of --notify and its server; look at this list until then."
-    ),
-}
-"""Delays outlast a reading that is late, and a plan that changes its mind from step to step."""
 
 
 @dataclass(frozen=True)

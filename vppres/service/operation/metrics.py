@@ -14,7 +14,7 @@ from prometheus_client.registry import Collector
 
 import vppres
 from vppres.core.units import W_PER_KW
-from vppres.service.alarms.state import KINDS
+from vppres.service.alarms.conditions import KINDS
 from vppres.service.operation.runner import Runner
 from vppres.service.plans.document import DEFAULT
 

@@ -62,10 +62,12 @@ class StoredEvents(Transactions):
         if self._events_known[0] != seen or self._reading:
             found: dict[str, list[Event]] = {}
             e, w = EVENTS.c, WRITTEN.c
-            both = sa.and_(e.id == w.id, e.version == w.version)
-            chosen = sa.select(EVENTS).outerjoin(WRITTEN, both)
-            number = sa.func.coalesce(w.number, 0)  # of a database that did not count them
-            for row in self._rows(chosen.order_by(number, e.made_at, e.id, e.version)):
+            chosen = sa.select(EVENTS)
+            if WRITTEN.name in self._tables:
+                both = sa.and_(e.id == w.id, e.version == w.version)
+                # Those of a database that did not count them come first.
+                chosen = chosen.outerjoin(WRITTEN, both).order_by(sa.func.coalesce(w.number, 0))
+            for row in self._rows(chosen.order_by(e.made_at, e.id, e.version)):
                 earlier = found[row.id] = found.pop(row.id, [])
                 goes_on = earlier and earlier[-1].body
                 since = earlier[-1].since if goes_on else row.made_at

@@ -38,9 +38,11 @@ class Transactions:
         self._takes = not reading
         self._tried_at = -TRIED_S
         self.changes = 0  # a reader of what is stored looks again when it has grown
-        if not reading:
-            with _plain_errors():
+        with _plain_errors():
+            if not reading:
                 TABLES.create_all(self._engine)
+            # One that an earlier version wrote, and that is only read, lacks later tables.
+            self._tables = {*sa.inspect(self._engine).get_table_names()}
         self._belongs_to(site)
 
     @property
