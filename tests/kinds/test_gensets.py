@@ -27,7 +27,7 @@ from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.gensets import Gensets, Refuels
 from vppres.kinds.gensets.physics import Engines, headroom_kw
-from vppres.kinds.kind import UnitsPlanned
+from vppres.kinds.kind import Planned
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.data import WindowData
@@ -174,7 +174,7 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     outage = np.repeat(day.outage[:, None], len(sets), axis=1)
     rules = (free, runs, outage, day.grid.dt_h)
     assert runs.any() and not seen.wrongly_switched(*rules).any()
-    plan = UnitsPlanned(-given_kw, runs, runs, day.grid.dt_h)
+    plan = Planned(-given_kw, runs, runs, day.grid.dt_h)
     assert seen.moved_too_fast_kw(free, plan).max() < 1e-6
     left = seen.fuel_litres(free, plan)
     assert np.abs(left - np.array(fuel_litres)).max() < 1e-9

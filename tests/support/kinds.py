@@ -17,7 +17,7 @@ from vppres import RunOptions
 from vppres.core.arrays import Floats
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.gensets import Refuels
-from vppres.kinds.kind import UnitsPlanned
+from vppres.kinds.kind import Planned
 from vppres.kinds.vehicles.physics import Plugged
 from vppres.scenario.scenario import Scenario
 
@@ -154,7 +154,7 @@ def _gensets() -> Example:
             day, gensets=random_sets(np.random.default_rng([seed, 43]), day)
         ),
         stored=lambda sets, day, taken_kw, running: sets.fuel_litres(
-            day.gensets, UnitsPlanned(taken_kw, running, running, day.grid.dt_h)
+            day.gensets, Planned(taken_kw, running, running, day.grid.dt_h)
         ),
         state=lambda state: state.fuel_litres,
         limit=(replace(dark, gensets=endless), replace(dark, batteries=stored)),

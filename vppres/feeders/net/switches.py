@@ -143,7 +143,7 @@ def switches_on(net: Any, table: str) -> pd.DataFrame:
 
 
 def open_on(net: Any, table: str) -> pd.DataFrame:
-    """Open switches of :func:`switches_on`."""
+    """Those of :func:`switches_on` that are open."""
     on = switches_on(net, table)
     return on[~on["closed"].astype(bool)]
 

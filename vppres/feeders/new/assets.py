@@ -140,7 +140,7 @@ def _tiers(
 
 
 def _drawn_tiers(count: int, shares: tuple[float, float, float]) -> list[str]:
-    """Tiers by count: shares rounded, the rest in the lowest tier."""
+    """Tiers by count: shares rounded, the lowest tier takes what is left."""
     names = list(TIER_WEIGHTS)
     first = round(shares[0] * count)
     second = min(round(shares[1] * count), count - first)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling import OF_A_STEP, ThermalLoads
-from vppres.kinds.kind import UnitsAhead, UnitsPlanned, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.scenario.scenario import Scenario
 
 
@@ -70,7 +70,7 @@ class Rooms(UnitsAhead):
         """Most that all machines take together, (W,)."""
         return np.asarray(self.most_kw.sum(axis=1))
 
-    def power_beyond_kw(self, loads: ThermalLoads, plan: UnitsPlanned) -> Floats:
+    def power_beyond_kw(self, loads: ThermalLoads, plan: Planned) -> Floats:
         """Excess of powers beyond what machines can do, none of a customer off, (W, H)."""
         return np.maximum(plan.taken_kw - plan.connected * self.most_kw, -plan.taken_kw)
 

@@ -14,7 +14,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError
 from vppres.kinds.gensets import ROUNDING_H, Gensets, GensetState, steps_of
-from vppres.kinds.kind import EnergyHeld, UnitsAhead, UnitsPlanned
+from vppres.kinds.kind import EnergyHeld, Planned, UnitsAhead
 from vppres.scenario.scenario import Scenario
 
 LARGEST_SHARE = 0.25
@@ -203,7 +203,7 @@ class SetsAhead(UnitsAhead):
         power_kw = float(sets.p_max_kw[usable].sum())
         return EnergyHeld(kwh_per_litre, power_kw, float(held @ kwh_per_litre), delivered)
 
-    def left_kwh(self, sets: Gensets, plan: UnitsPlanned, kwh_each: Floats) -> float:
+    def left_kwh(self, sets: Gensets, plan: Planned, kwh_each: Floats) -> float:
         """Energy in a battery that stands for the fuel that is left; ``kwh_each`` is of a litre."""
         return float(self.fuel_litres(sets, plan)[-1] @ kwh_each)
 
@@ -219,7 +219,7 @@ class SetsAhead(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.can_run @ sets.p_max_kw)
 
-    def power_beyond_kw(self, sets: Gensets, plan: UnitsPlanned) -> Floats:
+    def power_beyond_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Excess of powers beyond what sets can do, ramps included, (W, G)."""
         over = (
             -plan.taken_kw + self.headroom_kw - plan.running * sets.p_max_kw,
@@ -228,7 +228,7 @@ class SetsAhead(UnitsAhead):
         )
         return np.asarray(np.max(over, axis=0))
 
-    def stored_beyond_kw(self, sets: Gensets, plan: UnitsPlanned) -> Floats:
+    def stored_beyond_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Fuel that is missing, as a power over the step, (W, G)."""
         kept_litres = plan.dt_h * sets.litres_per_kwh * self.headroom_kw
         missing_litres = kept_litres - self.fuel_litres(sets, plan)
@@ -251,7 +251,7 @@ class SetsAhead(UnitsAhead):
         """Steps in which a set starts, (W, G)."""
         return on & ~self.on_before(on)
 
-    def fuel_litres(self, sets: Gensets, plan: UnitsPlanned) -> Floats:
+    def fuel_litres(self, sets: Gensets, plan: Planned) -> Floats:
         """Fuel at the end of each step, (W, G), negative where there is not enough."""
         burnt = sets.litres(plan.running, -plan.taken_kw, plan.dt_h)
         level = np.zeros(len(sets))
@@ -261,7 +261,7 @@ class SetsAhead(UnitsAhead):
             rows.append(level)
         return np.array(rows).reshape(burnt.shape)
 
-    def moved_too_fast_kw(self, sets: Gensets, plan: UnitsPlanned) -> Floats:
+    def moved_too_fast_kw(self, sets: Gensets, plan: Planned) -> Floats:
         """Excess of the change of powers beyond ramps, (W, G).
 
         A set may stop from any power, and one that forms the grid follows the load at once.

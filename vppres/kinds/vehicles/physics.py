@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.kind import UnitsAhead, UnitsPlanned, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -228,7 +228,7 @@ class Plugged(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.known @ chargers.p_discharge_kw)
 
-    def power_beyond_kw(self, chargers: Chargers, plan: UnitsPlanned) -> Floats:
+    def power_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
         """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
@@ -237,7 +237,7 @@ class Plugged(UnitsAhead):
         back_kw = (self.known & plan.connected) * chargers.p_discharge_kw
         return np.maximum(plan.taken_kw - most_kw, -plan.taken_kw - back_kw)
 
-    def stored_beyond_kw(self, chargers: Chargers, plan: UnitsPlanned) -> Floats:
+    def stored_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
         """Excess of energies beyond their limits, as a power over the step, (W, K)."""
         energy_kwh = self.energy_kwh(plan.taken_kw, chargers, plan.dt_h)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)

@@ -1,4 +1,4 @@
-"""Charge of batteries at the end of a window: a target, or a value of what remains.
+"""What batteries hold at the end, in a window's problem: a target, or a value of what is left.
 
 Energy that is missing to a target has a variable and a price, and is part of the cost: so it
 decides among dispatches of equal service, and no service is given up for it.
@@ -20,7 +20,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
-from vppres.kinds.kind import UnitsPlanned
+from vppres.kinds.kind import Planned
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -89,7 +89,7 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
         units, known = site.kinds[kind], ahead.by_kind[kind].part(slice(dispatch.n_steps))
         taken_kw, running = dispatch.taken_by(kind, units), dispatch.running_of(kind, units)
         connected = units.connected(site.customers, dispatch.served)
-        plan = UnitsPlanned(taken_kw, running, connected, site.dt_h)
+        plan = Planned(taken_kw, running, connected, site.dt_h)
         held_kwh += known.left_kwh(units, plan, kwh_each)
     return held_kwh
 
