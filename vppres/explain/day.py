@@ -15,11 +15,10 @@ from vppres.day.simulate import Progress
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed
-from vppres.explain.recorded import Recorded
+from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
 from vppres.kinds.customer import reasons as customer
-from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES

@@ -11,6 +11,7 @@ from vppres.core.text import named
 from vppres.day.options import RULES
 from vppres.explain.kept import kept_for
 from vppres.explain.prices import WORTH
+from vppres.explain.recorded import MOVE_KW
 from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phase
 from vppres.explain.step import DRIVERS, Binding, Reason, Scarce, Step
 from vppres.explain.words import (
@@ -29,7 +30,6 @@ from vppres.explain.words import (
     too_little,
 )
 from vppres.kinds.export import reasons as export
-from vppres.kinds.kind import MOVE_KW
 from vppres.model.phases import phased_model
 from vppres.scenario.network import BusId
 

@@ -29,7 +29,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.customer.record import off_before_h
-from vppres.kinds.kind import MOVE_KW
+from vppres.kinds.kind import MOVE_KW as MOVE_KW
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
