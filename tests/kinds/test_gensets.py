@@ -26,7 +26,7 @@ from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.gensets import Gensets, Refuels
-from vppres.kinds.gensets.physics import Engines, headroom_kw
+from vppres.kinds.gensets.physics import Engines, headroom_kw, moved_too_fast_kw
 from vppres.kinds.kind import Planned
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
@@ -116,7 +116,7 @@ def test_a_tank_lasts_for_known_hours(
         on, given_kw = engines.possible(done, np.array([True]), np.array([power_kw]))
         if not on[0] or given_kw[0] < power_kw - 1e-6:
             break
-        engines.state = engines.after(done, on, given_kw)
+        engines.state = engines.after(done, -given_kw, on)
         done += 1
     assert done * 0.01 == pytest.approx(hours, abs=0.011)
 
@@ -163,7 +163,7 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
         wanted = rng.random(len(sets)) < 0.7
         wish_kw = sets.p_max_kw * rng.uniform(0.0, 1.2, len(sets))
         served = np.ones(1, dtype=bool)
-        engines.advance(t, *engines.follow(t, -wish_kw, wanted, served), served)
+        engines.advance(t, *engines.follow(t, -wish_kw, wanted, served))
         state = engines.state
         on.append(state.on)
         power_kw.append(state.power_kw)
@@ -172,11 +172,10 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     seen = ahead(replace(day, gensets=free), 40).without_duties()
     runs, given_kw = np.array(on), np.array(power_kw)
     outage = np.repeat(day.outage[:, None], len(sets), axis=1)
-    rules = (free, runs, outage, day.grid.dt_h)
-    assert runs.any() and not seen.wrongly_switched(*rules).any()
-    plan = Planned(-given_kw, runs, runs, day.grid.dt_h)
-    assert seen.moved_too_fast_kw(free, plan).max() < 1e-6
-    left = seen.fuel_litres(free, plan)
+    assert runs.any() and not seen.wrongly_switched(runs, outage).any()
+    plan = Planned(-given_kw, runs, runs)
+    assert moved_too_fast_kw(seen, plan).max() < 1e-6
+    left = seen.fuel_litres(plan)
     assert np.abs(left - np.array(fuel_litres)).max() < 1e-9
     assert left[9, 0] > left[8, 0] and left[20, 0] > left[19, 0]
 

@@ -86,16 +86,16 @@ def test_the_plant_does_nothing_that_a_plan_may_not(it: Example, number: int) ->
         wanted = rng.random(len(units)) < 0.7
         of_kind = plant.units[it.kind]
         done = of_kind.follow(t, wish_kw, wanted, served[t])
-        of_kind.advance(t, *done, served[t])
+        of_kind.advance(t, *done)
         taken_kw.append(done[0])
         running.append(done[1])
         held.append(it.state(of_kind.state))
     taken, runs = np.array(taken_kw), np.array(running)
     connected = units.connected(day.customers, served)
     assert not taken[~connected].any()
-    plan = Planned(taken, runs, connected, day.grid.dt_h)
-    assert ahead.power_beyond_kw(units, plan).max() < 1e-6
-    assert ahead.stored_beyond_kw(units, plan).max() < 1e-6
+    plan = Planned(taken, runs, connected)
+    assert ahead.power_beyond_kw(plan).max() < 1e-6
+    assert ahead.stored_beyond_kw(plan).max() < 1e-6
     reckoned = it.stored(ahead, day, taken, runs)
     assert np.abs(reckoned - np.array(held)).max() < 1e-9
 
@@ -114,7 +114,7 @@ def test_the_plant_does_what_is_planned(it: Example, method: str) -> None:
         done = of_kind.follow(t, taken[t], runs[t], served)
         assert done[0] == pytest.approx(taken[t], abs=1e-5)
         assert (done[1] == runs[t]).all()
-        of_kind.advance(t, *done, served)
+        of_kind.advance(t, *done)
         assert it.state(of_kind.state) == pytest.approx(stored[t], abs=1e-4)
 
 
@@ -196,11 +196,11 @@ def test_the_last_check_sends_no_set_point_beyond_a_unit(it: Example) -> None:
 @of_each_kind
 def test_without_voltage_units_do_nothing(it: Example) -> None:
     """As much as before in steps that are lit, and nothing in others."""
-    ahead, units = known(it.day).ahead, getattr(it.day, it.kind)
+    ahead = known(it.day).ahead
     lit = np.arange(it.day.grid.n_steps) % 2 > 0
     part = ahead.in_the_dark(lit[:, None]).by_kind[it.kind]
     for most in ("most_taken_kw", "most_given_kw"):
-        whole_kw, part_kw = (getattr(each, most)(units) for each in (ahead.by_kind[it.kind], part))
+        whole_kw, part_kw = (getattr(each, most)() for each in (ahead.by_kind[it.kind], part))
         assert (part_kw == np.where(lit, whole_kw, 0.0)).all()
 
 
@@ -238,12 +238,11 @@ def test_a_record_is_played_again_from_step_to_step(it: Example) -> None:
     run = run_day(it.day, HERE)
     taken_kw = run.by_step(kind.table, "p_kw") * (-1.0 if kind.gives else 1.0)
     runs = run.by_step(kind.table, "running" if kind.gives else "p_kw").astype(bool)
-    served = run.by_step("customers", "served")
     of_kind = Plant(it.day).units[it.kind]
     for t, now_kw in enumerate(taken_kw):
         recorded = it.state(words.state_of(run.rows(kind.table, t)))
         assert recorded == pytest.approx(it.state(of_kind.at(t)), abs=1e-9)
-        of_kind.advance(t, now_kw, runs[t], served[t])
+        of_kind.advance(t, now_kw, runs[t])
 
 
 @of_each_kind

@@ -29,7 +29,7 @@ PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 def path_c(day: Scenario, power_kw: Floats) -> Floats:
     """Temperatures at the ends of all steps as one window."""
     rooms = Rooms.of(day, range(day.grid.n_steps), day.thermal_loads.t_initial_c)
-    return rooms.t_c(day.thermal_loads, power_kw, day.grid.dt_h)
+    return rooms.t_c(power_kw)
 
 
 @pytest.mark.parametrize(("begins_c", "hours"), [(24.0, 6.97), (22.0, 12.91)])

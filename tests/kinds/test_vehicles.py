@@ -68,7 +68,7 @@ def test_a_departure_in_an_outage_is_short_and_feasible(method: str) -> None:
     day = evening(DARK)
     answer = solved(day, method)
     plugged = known(day).ahead.known("chargers")
-    energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"], day.chargers, 1.0)
+    energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"])
     assert plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
     assert answer.objective == pytest.approx(-0.5 * 30.0 / 60.0)  # half a step for 60 kWh
 
@@ -114,7 +114,7 @@ def test_the_floor_holds_what_a_car_keeps() -> None:
     session = {"soc_at_plug_in": 0.85, "soc_needed": 0.95, "v2g_soc_floor": 0.25}
     day = plugged_in(replace(day, chargers=two_way), (0, 14), **session)
     answer, plugged = solved(day), known(day).ahead.known("chargers")
-    energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"], day.chargers, 1.0)[:, 0]
+    energy_kwh = plugged.energy_kwh(answer.dispatch.taken_kw["chargers"])[:, 0]
     assert energy_kwh.min() >= 15.0 - 1e-6
     assert energy_kwh[-1] == pytest.approx(57.0, abs=1e-4)
     assert answer.dispatch.served[:6].sum() == 5
@@ -452,7 +452,7 @@ def test_none_that_may_not_come_gives_anything_back(method: str, grid: float) ->
     assert powers[1].min() == 0.0
     ahead = expected.ahead.known("chargers")
     on = np.ones((8, 1), dtype=bool)
-    beyond_kw = ahead.power_beyond_kw(day.chargers, Planned(powers[0][:, None], on, on, 1.0))
+    beyond_kw = ahead.power_beyond_kw(Planned(powers[0][:, None], on, on))
     assert beyond_kw.max() == pytest.approx(-powers[0].min())  # which is refused
 
 

@@ -52,8 +52,8 @@ from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.one_line import step_states
 from vppres.report.plots.figures import chart_of
 from vppres.report.rechecked import recheck_run
+from vppres.report.sections import SECTIONS
 from vppres.report.sections.base import Run
-from vppres.report.sections.network import network_section
 from vppres.scenario.earthing import in_island, unearthed, unearthed_by
 from vppres.scenario.formers import island_former
 from vppres.scenario.phases import (
@@ -457,7 +457,7 @@ def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
     assert reported.steps["loading_max"].min() > 1.5
     kept = run_day(late, RunOptions(horizon_h=1.0, ratings="limit"))
     shown = Run(kept, {})
-    table = network_section(shown).html
+    (table,) = (part.of(shown).html for part in SECTIONS if part.key == "network")
     assert "The fullest phases" in table and "line from r to m, phase" in table
     assert "phase a and ab" in chart_of(kept, "by_phase").svg()
     assert "; phases a, b and c: " in step_states(kept)["info"][0]

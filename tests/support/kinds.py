@@ -86,9 +86,7 @@ def _cooling() -> Example:
         kind="thermal_loads",
         day=day,
         draw=_drawn_homes,
-        stored=lambda rooms, day, taken_kw, running: rooms.t_c(
-            day.thermal_loads, taken_kw, day.grid.dt_h
-        ),
+        stored=lambda rooms, day, taken_kw, running: rooms.t_c(taken_kw),
         state=lambda t_c: t_c,
         limit=(held, two_buses([[1.0 + 2.5 / 3.5]] * 4, [1.0], [OPEN] * 4)),
         crowd=replace(warm, temperature_c=np.full(3, 45.0), thermal_loads=many),
@@ -154,7 +152,7 @@ def _gensets() -> Example:
             day, gensets=random_sets(np.random.default_rng([seed, 43]), day)
         ),
         stored=lambda sets, day, taken_kw, running: sets.fuel_litres(
-            day.gensets, Planned(taken_kw, running, running, day.grid.dt_h)
+            Planned(taken_kw, running, running)
         ),
         state=lambda state: state.fuel_litres,
         limit=(replace(dark, gensets=endless), replace(dark, batteries=stored)),
@@ -233,9 +231,7 @@ def _vehicles() -> Example:
         day=day,
         draw=with_random_vehicles,
         expected=_not_told,
-        stored=lambda plugged, day, taken_kw, running: plugged.energy_kwh(
-            taken_kw, day.chargers, day.grid.dt_h
-        ),
+        stored=lambda plugged, day, taken_kw, running: plugged.energy_kwh(taken_kw),
         state=lambda held_kwh: held_kwh,
         limit=_stays(),
         crowd=plugged_in(crowd, *[(0, 5)] * 200, weight=1000.0, soc_needed=0.8),

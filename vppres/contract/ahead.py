@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.kind import Units, UnitsAhead
+from vppres.kinds.kind import UnitsAhead
 from vppres.kinds.table import parts, units_of
 from vppres.scenario.scenario import Scenario
 
@@ -65,17 +65,12 @@ class KindsAhead:
             {kind: known.in_the_dark(lit[kind]) for kind, known in self.by_kind.items()}
         )
 
-    def holding(self, units: Mapping[str, Units], part: Mapping[str, Wholes], dt_h: float) -> Self:
+    def holding(self, part: Mapping[str, Wholes]) -> Self:
         """Window with the units that hold the parts that no battery forms.
 
         ``part`` is the number of each unit's part, (W, n) by kind, -1 where units form none.
         """
-        return type(self)(
-            {
-                kind: known.holding(units[kind], part[kind], dt_h)
-                for kind, known in self.by_kind.items()
-            }
-        )
+        return type(self)({kind: known.holding(part[kind]) for kind, known in self.by_kind.items()})
 
     def without_duties(self) -> Self:
         """Window without units that have to stay on."""
@@ -96,23 +91,21 @@ class KindsAhead:
         found = {kind: known.holding_steps() for kind, known in self.by_kind.items()}
         return {kind: holds for kind, holds in found.items() if holds.any()}
 
-    def formed(
-        self, units: Mapping[str, Units], dark: Flags, headroom: float, dt_h: float
-    ) -> tuple[Self, Flags]:
+    def formed(self, dark: Flags, headroom: float) -> tuple[Self, Flags]:
         """Window with the units that form dark steps, (W,), and the steps that stay dark.
 
         ``headroom`` is the share of a rating that is left free above and below the plan.
         """
         by_kind = {}
         for kind, known in self.by_kind.items():
-            by_kind[kind], lit = known.formed(units[kind], dark, headroom, dt_h)
+            by_kind[kind], lit = known.formed(dark, headroom)
             dark = dark & ~lit
         return type(self)(by_kind), dark
 
-    def most_taken_kw(self, units: Mapping[str, Units]) -> Iterator[Floats]:
+    def most_taken_kw(self) -> Iterator[Floats]:
         """Most that the units of each kind take together, (W,)."""
-        return (known.most_taken_kw(units[kind]) for kind, known in self.by_kind.items())
+        return (known.most_taken_kw() for known in self.by_kind.values())
 
-    def most_given_kw(self, units: Mapping[str, Units]) -> Iterator[Floats]:
+    def most_given_kw(self) -> Iterator[Floats]:
         """Most that the units of each kind give together, (W,)."""
-        return (known.most_given_kw(units[kind]) for kind, known in self.by_kind.items())
+        return (known.most_given_kw() for known in self.by_kind.values())

@@ -50,10 +50,8 @@ def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
 def _states_to_try(state: StepState) -> Iterator[StepState]:
     """The step with each kind by its rule; one kind after another gives way."""
     lacking_kw = float(state.load_kw.sum() + state.drawn_kw.sum() - state.usable_pv_kw.sum())
-    units, island, dt_h = state.site.kinds, state.island, state.site.dt_h
     ways = {
-        kind: known.by_rule(units[kind], lacking_kw, island, dt_h)
-        for kind, known in state.ahead.by_kind.items()
+        kind: known.by_rule(lacking_kw, state.island) for kind, known in state.ahead.by_kind.items()
     }
     tried = state.acting({kind: of_kind[0] for kind, of_kind in ways.items()})
     yield tried
@@ -86,7 +84,7 @@ def _beside(state: StepState, formers: Mapping[str, Flags], wanted_kw: float) ->
     for kind, forms in formers.items():
         units = state.site.kinds[kind]
         each_kw = np.where(forms, np.minimum(wanted_kw, units.largest_kw), 0.0)
-        acts[kind] = state.ahead.by_kind[kind].beside(units, each_kw, state.island, state.site.dt_h)
+        acts[kind] = state.ahead.by_kind[kind].beside(each_kw, state.island)
     return state.acting(acts)
 
 

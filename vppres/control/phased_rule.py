@@ -115,13 +115,13 @@ class Former:
             units, known = state.site.kinds[kind], state.ahead.by_kind[kind]
             taken_kw, on = zip(
                 *(
-                    known.beside(units, np.where(forms, kw, 0.0), state.island, state.site.dt_h)
+                    known.beside(np.where(forms, kw, 0.0), state.island)
                     for kw in (0.0, units.largest_kw)
                 ),
                 strict=True,
             )
             least_kw, most_kw = (-float(kw[forms].sum()) for kw in taken_kw)
-            most_kvar = float(known.q_most_kvar(units)[0][forms].sum())
+            most_kvar = float(known.q_most_kvar()[0][forms].sum())
             runs = bool((on[0] & forms).any())
             return cls(state, model, source, least_kw, most_kw, most_kvar) if runs else None
         battery = state.forming_battery

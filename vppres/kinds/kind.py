@@ -6,7 +6,7 @@ Power is what the n units of a kind take, negative where they give.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
@@ -153,17 +153,34 @@ class Planned:
     taken_kw: Floats
     running: Flags  #: units that are on, of a kind that is started and stopped
     connected: Flags  #: units whose customers are served, or that stand alone
-    dt_h: float  #: length of a step
 
 
+@dataclass(frozen=True, eq=False)
 class UnitsAhead(ByStep):
     """Window data of the units of a kind, (W, n) each; ``WINDOW`` of its physics.
 
-    ``units`` are those of the scenario. ``running`` says which are on, of a kind that is started
-    and stopped, which is ``switched``.
+    A kind that is started and stopped is ``switched``.
     """
 
     switched: ClassVar[bool] = False
+
+    units: Any  #: their table in the scenario
+    dt_h: float  #: length of a step in h
+
+    def part(self, steps: slice) -> Self:
+        """The first steps of the window, by a slice."""
+        known = self.units, self.dt_h
+        return type(self)(*known, *(getattr(self, name)[steps] for name in self._by_step))
+
+    @property
+    def _by_step(self) -> list[str]:
+        return [field.name for field in fields(self)[2:]]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of steps and of units."""
+        n_steps, n_units = getattr(self, self._by_step[0]).shape
+        return n_steps, n_units
 
     @classmethod
     def past_days(cls, scenario: Any, seed: int) -> Any:
@@ -178,19 +195,19 @@ class UnitsAhead(ByStep):
         """Window without units that have to stay on."""
         return self
 
-    def holding(self, units: Any, part: Wholes, dt_h: float) -> Any:
+    def holding(self, part: Wholes) -> Any:
         """Window with the units that hold parts by number, (W, n), -1 where units form none."""
         return self
 
     def forming_steps(self) -> Flags:
         """Steps in which each forms the grid of an island, (W, n)."""
-        return np.zeros(self._arrays()[0].shape, dtype=bool)
+        return np.zeros(self.shape, dtype=bool)
 
     def holding_steps(self) -> Flags:
         """Steps in which each holds a part of the feeder if it runs, (W, n)."""
-        return np.zeros(self._arrays()[0].shape, dtype=bool)
+        return np.zeros(self.shape, dtype=bool)
 
-    def formed(self, units: Any, dark: Flags, headroom: float, dt_h: float) -> tuple[Any, Flags]:
+    def formed(self, dark: Flags, headroom: float) -> tuple[Any, Flags]:
         """Window with what forms dark steps, (W,), as far as it can, and the steps that it forms.
 
         ``headroom`` is the share of a rating that is left free above and below the plan.
@@ -199,25 +216,21 @@ class UnitsAhead(ByStep):
 
     def kept_kw(self) -> Floats:
         """Power that each leaves free above and below its plan where it forms the grid, (W, n)."""
-        return np.zeros(self._arrays()[0].shape)
+        return np.zeros(self.shape)
 
-    def able_to_form(self, units: Any) -> Flags:
+    def able_to_form(self) -> Flags:
         """Units that form an island if nothing else does and they run, (n,)."""
         return np.asarray(self.forming_steps()[0])
 
-    def by_rule(
-        self, units: Any, lacking_kw: float, island: bool, dt_h: float
-    ) -> Sequence[tuple[Floats, Flags]]:
+    def by_rule(self, lacking_kw: float, island: bool) -> Sequence[tuple[Floats, Flags]]:
         """Powers of the first step without a plan, and which units run, the best first.
 
         Each gives way to the next; ``lacking_kw`` is the demand that PV leaves. At last all rest.
         """
-        none = np.zeros(self._arrays()[0].shape[1])
+        none = np.zeros(self.shape[1])
         return [(none, none > 0.0)]
 
-    def beside(
-        self, units: Any, wanted_kw: Floats, island: bool, dt_h: float
-    ) -> tuple[Floats, Flags]:
+    def beside(self, wanted_kw: Floats, island: bool) -> tuple[Floats, Flags]:
         """Power of the first step of units that form the grid or run, near what they are to give.
 
         With it goes which of them run.
@@ -230,9 +243,9 @@ class UnitsAhead(ByStep):
 
     def store(self, scenario: Any, steps: range, eta_discharge: float) -> EnergyHeld:
         """Energy in a battery of what units hold, and of deliveries in the steps."""
-        return EnergyHeld(np.zeros(self._arrays()[0].shape[1]), 0.0, 0.0, np.zeros(len(steps)))
+        return EnergyHeld(np.zeros(self.shape[1]), 0.0, 0.0, np.zeros(len(steps)))
 
-    def left_kwh(self, units: Any, plan: Planned, kwh_each: Floats) -> float:
+    def left_kwh(self, plan: Planned, kwh_each: Floats) -> float:
         """Energy in a battery that stands for what units hold at the end of a plan.
 
         ``kwh_each`` says what a unit of their store stands for, (n,).
@@ -243,65 +256,83 @@ class UnitsAhead(ByStep):
         """Most energy that what units hold at the end can stand for."""
         return 0.0
 
-    def wrongly_switched(self, units: Any, running: Flags, outage: Flags, dt_h: float) -> Flags:
+    def wrongly_switched(self, running: Flags, outage: Flags) -> Flags:
         """Steps in which a unit is on or off against a rule, (W, n).
 
         ``outage`` says in which steps the grid does not reach its bus, (W, n).
         """
         return np.zeros_like(running)
 
-    def switched_early(self, units: Any, running: Flags, outage: Flags) -> Flags:
+    def switched_early(self, running: Flags, outage: Flags) -> Flags:
         """Steps in which a unit starts before it may, or runs where it must not, (W, n).
 
         ``outage`` is as for :meth:`wrongly_switched`.
         """
         return np.zeros_like(running)
 
-    def q_most_kvar(self, units: Any) -> Floats:
+    def q_most_kvar(self) -> Floats:
         """Largest reactive power of each, (W, n)."""
-        return np.zeros(self._arrays()[0].shape)
+        return np.zeros(self.shape)
 
-    def most_taken_kw(self, units: Any) -> Floats:
+    def most_taken_kw(self) -> Floats:
         """Most that all take together, (W,)."""
-        return np.zeros(len(self._arrays()[0]))
+        return np.zeros(self.shape[0])
 
-    def most_given_kw(self, units: Any) -> Floats:
+    def most_given_kw(self) -> Floats:
         """Most that all give together, (W,)."""
-        return np.zeros(len(self._arrays()[0]))
+        return np.zeros(self.shape[0])
 
-    def power_beyond_kw(self, units: Any, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: Planned) -> Floats:
         """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
-    def stored_beyond_kw(self, units: Any, plan: Planned) -> Floats:
+    def stored_beyond_kw(self, plan: Planned) -> Floats:
         """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
         return np.zeros_like(plan.taken_kw)
 
 
-class Followers(Protocol):
+class Followers:
     """The units of a kind in the plant, what they do of what is asked; ``PLANT`` of its physics.
 
     ``state`` is what a step leaves to the next.
     """
 
-    state: Any
+    def __init__(self, scenario: Any, units: Any, state: Any) -> None:
+        self.scenario, self.units, self.state = scenario, units, state
+        self.dt_h: float = scenario.grid.dt_h
+        nobody = np.zeros(len(scenario.customers), dtype=bool)
+        self._owner: Wholes = units.owner(scenario.customers)
+        self._alone: Flags = units.connected(scenario.customers, nobody)
 
     def at(self, t: int) -> Any:
         """State at the beginning of a step."""
+        return self.state
 
     def on(self, served: Flags) -> Flags:
         """Units that are connected, if these customers are served, (n,)."""
+        return self._alone | served[self._owner]
+
+    def possible_kw(self, t: int, wanted_kw: Floats, served: Flags) -> Floats:
+        """Power nearest to what is wanted, of units that are not started, (n,)."""
+        raise NotImplementedError
 
     def follow(
         self, t: int, wanted_kw: Floats, running: Flags, served: Flags
     ) -> tuple[Floats, Flags]:
         """Power nearest to what is wanted, and which units run, of a kind that is started."""
+        return self.possible_kw(t, wanted_kw, served), running
 
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
         """Power that each can give less without stopping, (n,)."""
+        return np.maximum(-taken_kw, 0.0)
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
-        """The state at the end of a step in which these customers were served."""
+    def after(self, t: int, taken_kw: Floats, running: Flags) -> Any:
+        """State at the end of a step with these powers."""
+        raise NotImplementedError
+
+    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
+        """Go on to the end of a step."""
+        self.state = self.after(t, taken_kw, running)
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,6 +69,6 @@ def _of_kinds(
         on = units.connected(window.customers, plan.served[decision.row :])
         later = times[: len(taken_kw) - 1]
         ahead = of.part(slice(len(taken_kw)))
-        of_units = Planned(taken_kw, running, on, window.grid.dt_h)
+        of_units = Planned(taken_kw, running, on)
         found |= live[kind].foreseen(window, ahead, of_units, later)
     return found

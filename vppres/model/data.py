@@ -175,7 +175,7 @@ class WindowData:
         return replace(
             self,
             parts=parts,
-            ahead=self.ahead.in_dead_parts(lit).holding(site.kinds, of_units, site.dt_h),
+            ahead=self.ahead.in_dead_parts(lit).holding(of_units),
             switching=self.switching and self.switching.in_the_dark(off),
             drawn=self.drawn and self.drawn.at(~parts.dead),
         )
@@ -190,7 +190,7 @@ class WindowData:
 
         ``headroom`` is the share of a rating that is left free above and below the plan.
         """
-        ahead, dark = self.ahead.formed(site.kinds, dark, headroom, site.dt_h)
+        ahead, dark = self.ahead.formed(dark, headroom)
         return replace(self, ahead=ahead), dark
 
     def first(self, n_steps: int) -> WindowData:
@@ -296,7 +296,7 @@ class WindowData:
         """
         load_kw = self.most_load_kw(site).sum(axis=1)
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
-        useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
+        useful = sum(self.ahead.most_taken_kw(), start=useful)
         return np.maximum(np.minimum(self.grid_limit_kw, useful), 0.0)
 
     @property
@@ -334,7 +334,7 @@ class WindowData:
         if not self.export:
             return np.zeros(self.n_steps)
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum() + self.network_gives_kw
-        possible = sum(self.ahead.most_given_kw(site.kinds), start=possible)
+        possible = sum(self.ahead.most_given_kw(), start=possible)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 

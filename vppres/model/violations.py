@@ -273,12 +273,12 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
         units, word = site.kinds[kind], KINDS[kind].word
         on = units.connected(site.customers, d.served)
         taken_kw, running = d.taken_by(kind, units), d.running_of(kind, units)
-        plan = Planned(taken_kw, running, on, site.dt_h)
-        found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(units, plan))
-        found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(units, plan))
+        plan = Planned(taken_kw, running, on)
+        found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(plan))
+        found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(plan))
         outage = at_items(data.in_island, site.unit_bus[kind])
-        wrong = known.wrongly_switched(units, running, outage, site.dt_h)
+        wrong = known.wrongly_switched(running, outage)
         found[f"{word} switching"] = 2.0 * wrong.sum()
-        over_kvar = np.abs(d.given_kvar.get(kind, 0.0 * taken_kw)) - known.q_most_kvar(units)
+        over_kvar = np.abs(d.given_kvar.get(kind, 0.0 * taken_kw)) - known.q_most_kvar()
         found[f"{word} reactive power"] = _most(tolerance, over_kvar)
     return found

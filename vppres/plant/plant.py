@@ -163,7 +163,7 @@ class Plant:
             realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
         )
         for kind, units in self.units.items():
-            units.advance(t, realised.taken_kw[kind], realised.running[kind], realised.served)
+            units.advance(t, realised.taken_kw[kind], realised.running[kind])
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,

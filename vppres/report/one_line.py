@@ -136,61 +136,54 @@ class Drawing:
 def drawing(run: Trajectory) -> Drawing:
     """Places of buses and lines, and the marks of what is connected."""
     day = run.scenario
+    net, layout, connected = day.network, tree_layout(day.network), _connected(day)
+    names = [shortened(str(bus), MOST_LETTERS) for bus in net.buses]
+    name_px = LETTER_PX * max(map(len, names))
+    column_px = int(np.clip(WIDTH_PX / max(layout.column.max(), 1), *COLUMN_PX))
+    leaning = name_px + 8 > column_px
+    deep = np.array([-(-sum(map(bool, kinds.values())) // 2) for kinds in connected])
+    # A row is as high as the symbols of its buses.
+    below = 14 + SLOT_PX * np.array([deep[layout.row == row].max() for row in layout.row])
+    above = int(TOP_PX + (LEAN * name_px if leaning else 0.0))
+    row_px = above + below[np.unique(layout.row, return_index=True)[1]] + 6
+    x = GRID_PX + column_px * layout.column
+    y = above + MARGIN_PX + (row_px.cumsum() - row_px)[layout.row]
+    at = [*zip(map(int, x), map(int, y), strict=True)]
+    customers = day.customers
+    critical = {net.bus_index[bus] for bus in customers.bus[customers.tier == day.tiers[0]]}
+    buses = tuple(
+        BusMark(str(bus), names[i], *at[i], i == 0, i in critical, connected[i])
+        for i, bus in enumerate(net.buses)
+    )
+    lines = tuple((*at[a], *at[b]) for b, a in enumerate(net.parent, 1))
+    switches = tuple(
+        SwitchMark(words, closed, branch, (*at[a], *at[b]), int(below[a]))
+        for words, closed, branch, a, b in _told_switches(Branches.of(day))
+    )
+    # On the last piece of a line, which no other line has.
+    faults = tuple(
+        FaultMark(words, int(x[i] if of_bus else (x[net.parent[i - 1]] + x[i]) / 2), at[i][1])
+        for words, i, of_bus in _told_faults(day, Clock.of(run))
+    )
+    beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
+    width, height = int(x.max() + beside + MARGIN_PX), int(MARGIN_PX + row_px.sum())
+    return Drawing(width, height, buses, lines, switches, faults, leaning)
+
+
+def _connected(day: Scenario) -> list[dict[str, list[int]]]:
+    """Positions of what is connected to each bus, by what it is."""
     net, c = day.network, day.customers
-    layout = tree_layout(net)
     at = {
         "customers": c.bus,
         "batteries": day.batteries.bus,
         "pv": day.pv.buses(c),
         **{kind: getattr(day, kind).buses(c) for kind in KINDS},
     }
-    found = {
-        kind: np.array([net.bus_index[bus] for bus in buses], dtype=int)
-        for kind, buses in at.items()
-    }
-    connected = [
+    found = {kind: np.array([net.bus_index[b] for b in buses]) for kind, buses in at.items()}
+    return [
         {kind: np.flatnonzero(places == i).tolist() for kind, places in found.items()}
         for i in range(net.n_buses)
     ]
-    critical = set(found["customers"][c.tier == day.tiers[0]].tolist())
-    names = [shortened(str(bus), MOST_LETTERS) for bus in net.buses]
-    name_px = LETTER_PX * max(map(len, names))
-    column_px = int(np.clip(WIDTH_PX / max(layout.column.max(), 1), *COLUMN_PX))
-    leaning = name_px + 8 > column_px
-    deep = np.array([-(-sum(map(bool, kinds.values())) // 2) for kinds in connected])
-    above = int(TOP_PX + (LEAN * name_px if leaning else 0.0))
-    # A row is as high as the symbols of its buses.
-    row_px = np.array([deep[layout.row == row].max() for row in range(layout.row.max() + 1)])
-    row_px = above + 14 + SLOT_PX * row_px + 6
-    x = GRID_PX + column_px * layout.column
-    y = above + MARGIN_PX + (row_px.cumsum() - row_px)[layout.row]
-    buses = tuple(
-        BusMark(
-            str(net.buses[i]), names[i], int(x[i]), int(y[i]), i == 0, i in critical, connected[i]
-        )
-        for i in range(net.n_buses)
-    )
-    ends = zip(net.parent, range(1, net.n_buses), strict=True)
-    lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in ends)
-    switches = tuple(
-        SwitchMark(
-            words,
-            closed,
-            branch,
-            (int(x[a]), int(y[a]), int(x[b]), int(y[b])),
-            14 + SLOT_PX * int(deep[layout.row == layout.row[a]].max()),
-        )
-        for words, closed, branch, a, b in _told_switches(Branches.of(day))
-    )
-    # On the last piece of a line, which no other line has.
-    faults = tuple(
-        FaultMark(words, int(x[at] if of_bus else (x[net.parent[at - 1]] + x[at]) / 2), int(y[at]))
-        for words, at, of_bus in _told_faults(day, Clock.of(run))
-    )
-    beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
-    width = int(x.max() + beside + MARGIN_PX)
-    height = int(MARGIN_PX + row_px.sum())
-    return Drawing(width, height, buses, lines, switches, faults, leaning)
 
 
 def _told_faults(day: Scenario, clock: Clock) -> Iterator[tuple[str, int, bool]]:

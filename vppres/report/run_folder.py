@@ -108,7 +108,7 @@ def _without_report(folder: Path, failure: Exception) -> VppresError:
 def render_report(trajectory: Trajectory, summary: Mapping[str, Any]) -> str:
     """The report of a run with its summary, as HTML."""
     run = Run(trajectory, summary)
-    made = [make(run) for make in SECTIONS]
+    made = [part.of(run) for part in SECTIONS]
     return page(
         TEMPLATE,
         {

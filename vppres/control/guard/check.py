@@ -128,8 +128,8 @@ def _kinds(step: Dispatch, state: StepState, within: Tolerances) -> str:
         taken_kw, running = step.taken_by(kind, units), step.running_of(kind, units)
         on = units.connected(state.site.customers, step.supplied > 0.0)
         now = known.part(slice(1))
-        plan = Planned(taken_kw, running, on, state.site.dt_h)
-        beyond = np.maximum(now.power_beyond_kw(units, plan), now.stored_beyond_kw(units, plan))[0]
+        plan = Planned(taken_kw, running, on)
+        beyond = np.maximum(now.power_beyond_kw(plan), now.stored_beyond_kw(plan))[0]
         slack = within.power_kw + within.power_share * units.largest_kw
         found = worst_words(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
         if found:
@@ -143,7 +143,7 @@ def _switched_early(step: Dispatch, state: StepState) -> str:
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
         outage = at_items(islands, state.site.unit_bus[kind])
-        wrong = known.switched_early(units, step.running_of(kind, units), outage)[0]
+        wrong = known.switched_early(step.running_of(kind, units), outage)[0]
         if wrong.any():
             return f"{KINDS[kind].word} switching: {units.id[np.argmax(wrong)]}"
     return ""
@@ -155,7 +155,7 @@ def _unformed_supply(step: Dispatch, state: StepState) -> str:
         return ""
     for kind in state.formers:
         units = state.site.kinds[kind]
-        able = state.ahead.by_kind[kind].able_to_form(units)
+        able = state.ahead.by_kind[kind].able_to_form()
         if (step.running_of(kind, units)[0] & able).any():
             return ""
     return "island: no set forms the grid"

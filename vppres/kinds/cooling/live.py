@@ -229,7 +229,7 @@ def foreseen(
 ) -> dict[str, pd.DataFrame]:
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]
-    t_c = rooms.t_c(window.thermal_loads, plan.taken_kw, plan.dt_h)
+    t_c = rooms.t_c(plan.taken_kw)
     return {"indoor_c": pd.DataFrame(t_c[1:], times, ids)}
 
 

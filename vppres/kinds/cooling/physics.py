@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling import OF_A_STEP, ThermalLoads
-from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.scenario.scenario import Scenario
 
 
@@ -37,6 +37,7 @@ def after_c(loads: ThermalLoads, start_c: Floats, rests_c: Floats, hours: Floats
 class Rooms(UnitsAhead):
     """Rooms and tanks in a window: what is around them, their bands and machines, (W, H) each."""
 
+    units: ThermalLoads
     begins_c: Floats  #: temperature at the beginning of the window; NaN in all steps but the first
     outside_c: Floats  #: temperature of the air outside
     gain_kw: Floats  #: heat that comes by itself
@@ -56,6 +57,8 @@ class Rooms(UnitsAhead):
         weight = scenario.customers.weight[loads.owner(scenario.customers)]
         each = (loads.p_max_kw, loads.t_min_c, loads.t_max_c, weight)
         return cls(
+            loads,
+            scenario.grid.dt_h,
             begins_c,
             np.broadcast_to(outside_c, begins_c.shape),
             gain_kw,
@@ -66,25 +69,25 @@ class Rooms(UnitsAhead):
         """Window without power except in the lit steps, (W, 1)."""
         return replace(self, most_kw=self.most_kw * lit)
 
-    def most_taken_kw(self, loads: ThermalLoads) -> Floats:
+    def most_taken_kw(self) -> Floats:
         """Most that all machines take together, (W,)."""
         return np.asarray(self.most_kw.sum(axis=1))
 
-    def power_beyond_kw(self, loads: ThermalLoads, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: Planned) -> Floats:
         """Excess of powers beyond what machines can do, none of a customer off, (W, H)."""
         return np.maximum(plan.taken_kw - plan.connected * self.most_kw, -plan.taken_kw)
 
-    def t_c(self, loads: ThermalLoads, power_kw: Floats, dt_h: float) -> Floats:
+    def t_c(self, power_kw: Floats) -> Floats:
         """Temperature at the end of each step with these powers, (W, H)."""
         now = self.begins_c[0]
         rows = []
-        for rests_c in rests_at_c(loads, self.outside_c, self.gain_kw, power_kw):
-            now = after_c(loads, now, rests_c, dt_h)
+        for rests_c in rests_at_c(self.units, self.outside_c, self.gain_kw, power_kw):
+            now = after_c(self.units, now, rests_c, self.dt_h)
             rows.append(now)
         return np.array(rows).reshape(power_kw.shape)
 
 
-class Climate:
+class Climate(Followers):
     """Temperature of all rooms and tanks from step to step.
 
     Attributes
@@ -94,22 +97,11 @@ class Climate:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
-        self.state = scenario.thermal_loads.t_initial_c
-        self._owner = scenario.thermal_loads.owner(scenario.customers)
+        super().__init__(scenario, scenario.thermal_loads, scenario.thermal_loads.t_initial_c)
 
-    def at(self, t: int) -> Floats:
-        """Temperature at the beginning of a step, (H,)."""
-        return self.state
-
-    def on(self, served: Flags) -> Flags:
-        """Machines whose customer is served, (H,)."""
-        return np.asarray(served[self._owner])
-
-    def possible_kw(self, wanted_kw: Floats, served: Flags) -> Floats:
+    def possible_kw(self, t: int, wanted_kw: Floats, served: Flags) -> Floats:
         """Power of each machine nearest to what is wanted; none of a customer that is off, (H,)."""
-        most_kw = self.scenario.thermal_loads.p_max_kw * served[self._owner]
-        return np.clip(wanted_kw, 0.0, most_kw)
+        return np.clip(wanted_kw, 0.0, self.units.p_max_kw * self.on(served))
 
     def thermostat_kw(self, t: int, setpoint_c: Floats, served: Flags) -> Floats:
         """Power with which each machine comes nearest to a temperature by the end of a step, (H,).
@@ -118,32 +110,20 @@ class Climate:
         """
         alone_c = self.after_c(t, np.zeros_like(self.state))
         c_per_kw = self.after_c(t, np.ones_like(self.state)) - alone_c
-        return self.possible_kw((setpoint_c - alone_c) / c_per_kw, served)
-
-    def follow(
-        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
-    ) -> tuple[Floats, Flags]:
-        """:meth:`possible_kw`; machines are not started."""
-        return self.possible_kw(wanted_kw, served), running
-
-    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """Nothing: machines do not give, (H,)."""
-        return np.zeros_like(taken_kw)
+        return self.possible_kw(t, (setpoint_c - alone_c) / c_per_kw, served)
 
     def rests_at_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature to which each comes with these powers in the long run, (H,)."""
-        loads = self.scenario.thermal_loads
+        loads = self.units
         return rests_at_c(loads, float(self.scenario.temperature_c[t]), loads.gain_kw, power_kw)
 
     def after_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature at the end of a step with these powers, (H,)."""
-        rests_c = self.rests_at_c(t, power_kw)
-        dt_h = self.scenario.grid.dt_h
-        return after_c(self.scenario.thermal_loads, self.state, rests_c, dt_h)
+        return after_c(self.units, self.state, self.rests_at_c(t, power_kw), self.dt_h)
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
-        """The state at the end of a step."""
-        self.state = self.after_c(t, taken_kw)
+    def after(self, t: int, taken_kw: Floats, running: Flags) -> Floats:
+        """:meth:`after_c`."""
+        return self.after_c(t, taken_kw)
 
 
 WINDOW, PLANT = Rooms, Climate
@@ -157,7 +137,7 @@ def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
     """
     loads, dt_h = scenario.thermal_loads, scenario.grid.dt_h
     rooms = Rooms.of(scenario, range(scenario.grid.n_steps), loads.t_initial_c)
-    alone_c = rooms.t_c(loads, np.zeros_like(rooms.most_kw), dt_h)
+    alone_c = rooms.t_c(np.zeros_like(rooms.most_kw))
     missed_c = np.maximum(np.maximum(alone_c - rooms.t_max_c, rooms.t_min_c - alone_c), 0.0)
     window_h = dt_h * len(scenario.grid.window(0, horizon_h))
     weight = rooms.weight[0]

@@ -195,15 +195,18 @@ class SetsNow(UnitsNow):
 
     def able(self, ahead: SetsAhead) -> SetsAhead:  # type: ignore[override]
         """A window in which no set runs that is out."""
-        can_run = ahead.can_run & ~self.out
-        return replace(ahead, can_run=can_run, must_run=ahead.must_run & ~self.out)
+        can_run, must_run = ahead.can_run & ~self.out, ahead.must_run & ~self.out
+        return replace(ahead, units=self._able(ahead.units), can_run=can_run, must_run=must_run)
 
     def believed(self, scenario: Scenario) -> Scenario:
         """A scenario in which sets that are out do not start by themselves."""
         if not self.out.any():
             return scenario
-        forming = scenario.gensets.grid_forming & ~self.out
-        return replace(scenario, gensets=replace(scenario.gensets, grid_forming=forming))
+        return replace(scenario, gensets=self._able(scenario.gensets))
+
+    def _able(self, sets: Gensets) -> Gensets:
+        """Sets of which those that are out form no grid."""
+        return replace(sets, grid_forming=sets.grid_forming & ~self.out)
 
     def columns(self) -> dict[str, Any]:
         """Sets that do not start."""
@@ -370,7 +373,7 @@ def foreseen(
 ) -> dict[str, pd.DataFrame]:
     """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets
-    litres = known.fuel_litres(sets, plan)
+    litres = known.fuel_litres(plan)
     names = [str(name) for name in sets.id]
     return {
         "genset_kw": pd.DataFrame(-plan.taken_kw[1:], times, names),

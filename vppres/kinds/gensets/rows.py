@@ -185,7 +185,7 @@ class GensetsModel(Addition):
         """Switching, power and fuel of every set."""
         ahead = data.ahead.known(KIND)
         on, power_kw = running(site, dispatch)
-        fuel = ahead.fuel_litres(site.gensets, Planned(-power_kw, on, on, site.dt_h))
+        fuel = ahead.fuel_litres(Planned(-power_kw, on, on))
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
         return AdditionDispatch(dict(zip(self.by_dispatch, letters, strict=True)))
 

@@ -23,7 +23,7 @@ def record(day: Scenario, engines: Engines, t: int, realised: Realised) -> dict[
     sets = day.gensets
     before = engines.state
     on, power_kw = realised.running["gensets"], 0.0 - realised.taken_kw["gensets"]
-    after = engines.after(t, on, power_kw)
+    after = engines.after(t, realised.taken_kw["gensets"], on)
     return {
         "running": on,
         "started": on & ~before.on,

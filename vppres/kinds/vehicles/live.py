@@ -337,7 +337,7 @@ def foreseen(
 ) -> dict[str, pd.DataFrame]:
     """Known vehicles that leave short within the plan; what leaves after it is not judged."""
     chargers, sessions = window.chargers, window.sessions
-    short_kwh = ahead.short_kwh(ahead.energy_kwh(plan.taken_kw, chargers, plan.dt_h))
+    short_kwh = ahead.short_kwh(ahead.energy_kwh(plan.taken_kw))
     _, after = sessions.steps(window.grid)
     rows = []
     for t, k in np.argwhere(ahead.known & (short_kwh > SHORT_KWH)).tolist():

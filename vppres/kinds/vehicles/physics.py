@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.kind import Planned, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -76,6 +76,7 @@ class PastDays:
 class Plugged(UnitsAhead):
     """Vehicles in W steps at K chargers, (W, K) each; energies in kWh."""
 
+    units: Chargers
     here: Flags  #: steps in which a vehicle is plugged in, as far as is known or expected
     #: Those of them with a vehicle that is known. One that is expected may not come, and gives
     #: nothing back.
@@ -90,13 +91,6 @@ class Plugged(UnitsAhead):
     #: needs at departure.
     line_kwh: Floats
     weight: Floats  #: weight of its tier
-
-    @classmethod
-    def none(cls, n_steps: int, n_chargers: int) -> Self:
-        """No vehicle is plugged in."""
-        shape = (n_steps, n_chargers)
-        flags = (np.zeros(shape, dtype=bool) for _ in range(3))
-        return cls(*flags, *(np.zeros(shape) for _ in range(5)))
 
     @classmethod
     def of(
@@ -114,7 +108,9 @@ class Plugged(UnitsAhead):
         ``now_kwh`` is the energy of those that are plugged in, (K,). Without ``past_days`` none is
         expected.
         """
-        found = cls.none(len(steps), len(scenario.chargers))
+        shape = (len(steps), len(scenario.chargers))
+        flags, numbers = ([np.zeros(shape, each) for _ in range(8)] for each in (bool, float))
+        found = cls(scenario.chargers, scenario.grid.dt_h, *flags[:3], *numbers[3:])
         found._enter(scenario, scenario.sessions, steps, now_kwh)
         if past_days is not None:
             expected = past_days.expected(scenario.grid, steps)
@@ -155,9 +151,6 @@ class Plugged(UnitsAhead):
             self.line_kwh[stay, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
             self.weight[stay, k] = sessions.weight[s]
 
-    def __len__(self) -> int:
-        return len(self.here)
-
     @property
     def due(self) -> Flags:
         """Last steps of the vehicles: before they leave, or of the window, (W, K)."""
@@ -184,13 +177,13 @@ class Plugged(UnitsAhead):
             rows.append(held)
         return np.minimum(self.floor_kwh, np.array(rows).reshape(self.floor_kwh.shape))
 
-    def energy_kwh(self, power_kw: Floats, chargers: Chargers, dt_h: float) -> Floats:
+    def energy_kwh(self, power_kw: Floats) -> Floats:
         """Energy at the end of each step, (W, K), of a power that is negative to discharge."""
-        stored_kw = stored_by(chargers, power_kw)
-        held = np.zeros(len(chargers))
+        stored_kw = stored_by(self.units, power_kw)
+        held = np.zeros(len(self.units))
         rows = []
         for t, stays in enumerate(self.stays):
-            held = np.where(stays, held, self.held_kwh[t]) + dt_h * stored_kw[t]
+            held = np.where(stays, held, self.held_kwh[t]) + self.dt_h * stored_kw[t]
             rows.append(held)
         return np.array(rows).reshape(power_kw.shape)
 
@@ -207,44 +200,42 @@ class Plugged(UnitsAhead):
         """Window with no vehicle plugged in except in the lit steps, (W, 1)."""
         return replace(self, here=self.here & lit, known=self.known & lit)
 
-    def by_rule(
-        self, chargers: Chargers, lacking_kw: float, island: bool, dt_h: float
-    ) -> Sequence[tuple[Floats, Flags]]:
+    def by_rule(self, lacking_kw: float, island: bool) -> Sequence[tuple[Floats, Flags]]:
         """Vehicles charge as fast as they can while there is grid, or take nothing."""
-        room_kw = (self.full_kwh[0] - self.held_kwh[0]) / dt_h / chargers.eta_charge
-        most_kw = np.where(self.here[0], np.clip(room_kw, 0.0, chargers.p_charge_kw), 0.0)
-        nothing = super().by_rule(chargers, lacking_kw, island, dt_h)
+        room_kw = (self.full_kwh[0] - self.held_kwh[0]) / self.dt_h / self.units.eta_charge
+        most_kw = np.where(self.here[0], np.clip(room_kw, 0.0, self.units.p_charge_kw), 0.0)
+        nothing = super().by_rule(lacking_kw, island)
         return nothing if island else [(most_kw, nothing[0][1]), *nothing]
 
     def here_kw(self, taken_kw: Floats) -> Floats:
         """Planned powers of the first step; a vehicle that has not come takes none."""
         return np.where(self.here[0], taken_kw, 0.0)
 
-    def most_taken_kw(self, chargers: Chargers) -> Floats:
+    def most_taken_kw(self) -> Floats:
         """Most that all take together, (W,)."""
-        return np.asarray(self.here @ chargers.p_charge_kw)
+        return np.asarray(self.here @ self.units.p_charge_kw)
 
-    def most_given_kw(self, chargers: Chargers) -> Floats:
+    def most_given_kw(self) -> Floats:
         """Most that all give together, (W,)."""
-        return np.asarray(self.known @ chargers.p_discharge_kw)
+        return np.asarray(self.known @ self.units.p_discharge_kw)
 
-    def power_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: Planned) -> Floats:
         """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
         """
-        most_kw = (self.here & plan.connected) * chargers.p_charge_kw
-        back_kw = (self.known & plan.connected) * chargers.p_discharge_kw
+        most_kw = (self.here & plan.connected) * self.units.p_charge_kw
+        back_kw = (self.known & plan.connected) * self.units.p_discharge_kw
         return np.maximum(plan.taken_kw - most_kw, -plan.taken_kw - back_kw)
 
-    def stored_beyond_kw(self, chargers: Chargers, plan: Planned) -> Floats:
+    def stored_beyond_kw(self, plan: Planned) -> Floats:
         """Excess of energies beyond their limits, as a power over the step, (W, K)."""
-        energy_kwh = self.energy_kwh(plan.taken_kw, chargers, plan.dt_h)
+        energy_kwh = self.energy_kwh(plan.taken_kw)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
-        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / plan.dt_h
+        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / self.dt_h
 
 
-class Garage:
+class Garage(Followers):
     """Energy of the vehicles at all chargers from step to step.
 
     Where the energy of a vehicle before the first step, (K,), is not given or NaN, it is as its
@@ -257,10 +248,8 @@ class Garage:
     """
 
     def __init__(self, scenario: Scenario, state: Floats | None = None) -> None:
-        self.scenario = scenario
-        self.state = np.full(len(scenario.chargers), np.nan) if state is None else state
-        self._alone = scenario.chargers.alone
-        self._owner = scenario.chargers.owner(scenario.customers)
+        unknown = np.full(len(scenario.chargers), np.nan)
+        super().__init__(scenario, scenario.chargers, unknown if state is None else state)
 
     def here(self, t: int) -> Flags:
         """Chargers with a vehicle in a step, (K,)."""
@@ -284,17 +273,12 @@ class Garage:
         found[here] = by_session[self.scenario.session_at[t][here]]
         return found
 
-    def on(self, served: Flags) -> Flags:
-        """Chargers that are connected: their customers are served, or they stand alone, (K,)."""
-        return self._alone | served[self._owner]
-
     def possible_kw(self, t: int, wanted_kw: Floats, served: Flags) -> Floats:
         """Power of each charger nearest to what is wanted, negative to discharge, (K,).
 
         A charger below its least power charges with that; in an outage it stops.
         """
-        chargers = self.scenario.chargers
-        dt_h = self.scenario.grid.dt_h
+        chargers, dt_h = self.units, self.dt_h
         held_kwh = self.at(t)
         wanted_kw = np.where(self.here(t) & self.on(served), wanted_kw, 0.0)
         room_kw = (self.full_kwh(t) - held_kwh) / dt_h
@@ -306,27 +290,16 @@ class Garage:
         little = (charge > 0.0) & (charge < least * (1.0 - 1e-9))
         charge = np.where(little, 0.0 if self.scenario.outage[t] else least, charge)
         discharge = np.minimum(np.maximum(-wanted_kw, 0.0), chargers.p_discharge_kw)
-        return np.minimum(charge, most) - np.minimum(discharge, back)
-
-    def follow(
-        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
-    ) -> tuple[Floats, Flags]:
-        """:meth:`possible_kw`; chargers are not started."""
-        return self.possible_kw(t, wanted_kw, served), running
-
-    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """Power that each gives back, (K,)."""
-        return np.maximum(-taken_kw, 0.0)
+        return np.asarray(np.minimum(charge, most) - np.minimum(discharge, back))
 
     def after_kwh(self, t: int, power_kw: Floats) -> Floats:
         """Energy of each vehicle at the end of a step with these powers, (K,)."""
-        chargers = self.scenario.chargers
-        into_kwh = stored_by(chargers, power_kw) * self.scenario.grid.dt_h
+        into_kwh = stored_by(self.units, power_kw) * self.dt_h
         return np.clip(self.at(t) + into_kwh, 0.0, self.full_kwh(t))
 
-    def advance(self, t: int, taken_kw: Floats, running: Flags, served: Flags) -> None:
-        """The state at the end of a step."""
-        self.state = self.after_kwh(t, taken_kw)
+    def after(self, t: int, taken_kw: Floats, running: Flags) -> Floats:
+        """:meth:`after_kwh`."""
+        return self.after_kwh(t, taken_kw)
 
 
 WINDOW, PLANT = Plugged, Garage

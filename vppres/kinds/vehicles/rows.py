@@ -169,7 +169,7 @@ class Vehicles(Addition):
         """Penalty for energy that vehicles lack, and the cost of charging later."""
         plugged = data.ahead.known(KIND)
         power_kw = charging_kw(site, dispatch)
-        energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
+        energy_kwh = plugged.energy_kwh(power_kw)
         hours = site.dt_h * np.arange(len(power_kw))
         charged_kwh = site.dt_h * np.maximum(power_kw, 0.0).sum(axis=1)
         return {
@@ -190,7 +190,7 @@ class Vehicles(Addition):
         """Power and energy of every vehicle."""
         plugged = data.ahead.known(KIND)
         power_kw = charging_kw(site, dispatch)
-        energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
+        energy_kwh = plugged.energy_kwh(power_kw)
         values: dict[str, Floats | float] = {
             "ev_charge": np.maximum(power_kw, 0.0),
             "ev_energy": energy_kwh,

@@ -1,4 +1,4 @@
-"""What batteries hold at the end, in a window's problem: a target, or a value of what is left.
+"""Charge of batteries at the end of a window: a target, or a value of what remains.
 
 Energy that is missing to a target has a variable and a price, and is part of the cost: so it
 decides among dispatches of equal service, and no service is given up for it.
@@ -89,8 +89,8 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
         units, known = site.kinds[kind], ahead.by_kind[kind].part(slice(dispatch.n_steps))
         taken_kw, running = dispatch.taken_by(kind, units), dispatch.running_of(kind, units)
         connected = units.connected(site.customers, dispatch.served)
-        plan = Planned(taken_kw, running, connected, site.dt_h)
-        held_kwh += known.left_kwh(units, plan, kwh_each)
+        plan = Planned(taken_kw, running, connected)
+        held_kwh += known.left_kwh(plan, kwh_each)
     return held_kwh
 
 

@@ -1,41 +1,39 @@
 """Sections of the report of a run, in the order in which they are read.
 
-A section is a function of the run and of how it is shown that gives a
-:class:`~vppres.report.sections.base.Section`, or None where it has nothing to say. To add one,
-write such a function with a template in ``templates/sections``, and name it
-here.
+A section is a key, a title, and a function of the run that gives its content, or None where it has
+nothing to say. To add one, write such a function with a template ``templates/sections/KEY.html.j2``
+for its content, and name it here.
 """
 
 from __future__ import annotations
 
-from vppres.report.sections.base import SectionMaker
-from vppres.report.sections.explain import explain_section
-from vppres.report.sections.feeder import feeder_section
+from vppres.report.sections.base import Part
+from vppres.report.sections.explain import explain_of
+from vppres.report.sections.feeder import feeder_of
 from vppres.report.sections.listed import (
-    assumptions_section,
-    days_section,
-    energy_section,
-    figures_section,
-    solver_section,
-    timeline_section,
+    assumptions_of,
+    days_of,
+    energy_of,
+    figures_of,
+    solver_of,
+    timeline_of,
 )
-from vppres.report.sections.network import network_section
-from vppres.report.sections.outages import outages_section
-from vppres.report.sections.overview import overview_section
-from vppres.report.sections.service import service_section
+from vppres.report.sections.network import network_of
+from vppres.report.sections.outages import outages_of
+from vppres.report.sections.overview import overview_of
+from vppres.report.sections.service import service_of
 
-# Makers of the sections.
-SECTIONS: tuple[SectionMaker, ...] = (
-    overview_section,
-    timeline_section,
-    outages_section,
-    days_section,
-    explain_section,
-    service_section,
-    feeder_section,
-    energy_section,
-    network_section,
-    figures_section,
-    solver_section,
-    assumptions_section,
+SECTIONS: tuple[Part, ...] = (
+    Part("overview", "Summary", overview_of),
+    Part("timeline", "Events", timeline_of),
+    Part("outages", "Outage forecasts and outcomes", outages_of),
+    Part("days", "Day by day", days_of),
+    Part("explain", "Decisions and reasons", explain_of),
+    Part("service", "Supply by customer", service_of),
+    Part("feeder", "The feeder", feeder_of),
+    Part("energy", "Energy, import and price", energy_of),
+    Part("network", "Voltages and line loading", network_of),
+    Part("figures", "All figures", figures_of),
+    Part("solver", "Solver results", solver_of),
+    Part("assumptions", "Assumptions and provenance", assumptions_of),
 )

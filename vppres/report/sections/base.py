@@ -9,6 +9,8 @@ from typing import Any
 from markupsafe import Markup
 
 from vppres.day.trajectory import Trajectory
+from vppres.report.clock import Clock
+from vppres.report.key_figures import number
 from vppres.report.pages import page
 from vppres.report.plots.chart import Chart
 from vppres.report.plots.figures import FIGURE_TEXTS, chart_of
@@ -51,9 +53,20 @@ class Section:
     html: Markup
 
 
-SectionMaker = Callable[[Run], Section | None]
+@dataclass(frozen=True)
+class Part:
+    """A part that a report may have; its content goes into ``templates/sections/KEY.html.j2``."""
 
+    key: str
+    title: str
+    content: Callable[[Run], dict[str, Any] | None]
 
-def section(key: str, title: str, content: Mapping[str, Any]) -> Section:
-    """A section from the template that bears its key, ``templates/sections/KEY.html.j2``."""
-    return Section(key, title, Markup(page(f"sections/{key}.html.j2", content)))
+    def of(self, run: Run) -> Section | None:
+        """The section of a run, with what every template may use; None without content."""
+        content = self.content(run)
+        if content is None:
+            return None
+        heading = Clock.of(run.trajectory).heading
+        every = {"heading": heading, "number": number, "folded_above": FOLDED_ABOVE}
+        html = page(f"sections/{self.key}.html.j2", every | content)
+        return Section(self.key, self.title, Markup(html))

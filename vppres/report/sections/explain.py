@@ -14,7 +14,7 @@ from vppres.kinds.customer import reasons as customer
 from vppres.kinds.table import parts
 from vppres.report.clock import Clock
 from vppres.report.plots.figures import worth_of_energy
-from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
+from vppres.report.sections.base import Run, figure_of
 from vppres.report.sections.narrative import episodes
 
 Row = dict[str, Any]
@@ -49,7 +49,7 @@ ACTIONS = {
 }
 
 
-def explain_section(run: Run) -> Section | None:
+def explain_of(run: Run) -> dict[str, Any] | None:
     """The day in words, what bound in each step, reasons counted; None without an explanation.
 
     :func:`vppres.explain.day.explain_day` makes the tables that are shown here.
@@ -61,21 +61,16 @@ def explain_section(run: Run) -> Section | None:
         return None
     clock = Clock.of(trajectory)
     rows = explanations[explanations["item"] == "customer"]
-    return section(
-        "explain",
-        "Decisions and reasons",
-        {
-            "episodes": episodes(trajectory, explanations, prices),
-            "steps": _steps(trajectory, prices, _counts(run)),
-            "reasons": _reasons(explanations),
-            "folded_above": FOLDED_ABOVE,
-            "people": [
-                {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
-                for row in rows.to_dict("records")
-            ],
-            "figure": figure_of(worth_of_energy(trajectory), WORTH_TEXT),
-        },
-    )
+    return {
+        "episodes": episodes(trajectory, explanations, prices),
+        "steps": _steps(trajectory, prices, _counts(run)),
+        "reasons": _reasons(explanations),
+        "people": [
+            {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
+            for row in rows.to_dict("records")
+        ],
+        "figure": figure_of(worth_of_energy(trajectory), WORTH_TEXT),
+    }
 
 
 def _counts(run: Run) -> dict[str, int]:

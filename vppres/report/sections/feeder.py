@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +24,9 @@ from vppres.report.one_line import (
     voltage_colours,
     voltage_edges,
 )
-from vppres.report.sections.base import Run, Section, section
+from vppres.report.sections.base import Run
 from vppres.scenario.configuration import Branches
+from vppres.scenario.scenario import Scenario
 
 SIGNS = {name: kind.sign for name, kind in KINDS.items()}
 """Signs of devices beside those that every feeder has, in words."""
@@ -43,61 +45,55 @@ LOOK = ("bus", "tile", "line", "part", "soc")
 EN_DASH = "\N{EN DASH}"
 
 
-def feeder_section(run: Run) -> Section:
+def feeder_of(run: Run) -> dict[str, Any]:
     """The diagram in the worst outage step, with a choice of the others."""
     day = run.trajectory.scenario
     drawn, states = drawing(run.trajectory), step_states(run.trajectory)
     edges = voltage_edges(run.trajectory)
     voltages = [f"{low:.4g}{EN_DASH}{high:.4g}" for low, high in pairwise(edges)]
-    customers = [
-        f"{name} ({tier})" for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
-    ]
     branches = Branches.of(day)
-    ends = [f"{a} to {b}" for a, b in zip(branches.from_bus, branches.to_bus, strict=True)]
     moments = moments_of(run.trajectory, states)
     befores = [moment.before.part for moment in moments.shown]
     shown = [*states["part"], *befores]
-    return section(
-        "feeder",
-        "The feeder",
-        {
-            "drawing": drawn,
-            "start": states["start"],
-            "moments": moments,
-            "names": branches.names,
-            "opens": BranchStates.of(run.trajectory).opens,
-            "states": states,
-            "look": {name: states[name][states["start"]] for name in LOOK},
-            "label_px": max(14, drawn.width // 50),
-            "parts": {i: words for i, words in PARTS.items() if str(i) in "".join(shown)},
-            "named_places": lambda look: _named_places(
-                drawn, branches.names, {*look.moved, *look.out}
-            ),
-            "colours": voltage_colours(len(voltages)),
-            "voltages": voltages,
-            "loadings": _loading_words(run.trajectory),
-            "rated": day.network.has_ratings,
-            "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu),
-            "tiers": day.tiers,
-            "kinds": {kind: words for kind, words in SIGNS.items() if len(getattr(day, kind))},
-            "has_outage": bool(run.trajectory.steps["outage"].any()),
-            "data": states
-            | {
-                "customers": customers,
-                "lines": ends,
-                "ratings": [
-                    round(rating, 1) if np.isfinite(rating) else None
-                    for rating in branches.rating_a.tolist()
-                ],
-                "batteries": day.batteries.id.tolist(),
-                "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
-                "devices": {
-                    kind: [f"{words} {name}" for name in getattr(day, kind).id]
-                    for kind, words in {"pv": "PV", **SIGNS}.items()
-                },
-            },
+    return {
+        "drawing": drawn,
+        "start": states["start"],
+        "moments": moments,
+        "names": branches.names,
+        "opens": BranchStates.of(run.trajectory).opens,
+        "states": states,
+        "look": {name: states[name][states["start"]] for name in LOOK},
+        "label_px": max(14, drawn.width // 50),
+        "parts": {i: words for i, words in PARTS.items() if str(i) in "".join(shown)},
+        "named_places": lambda look: _named_places(drawn, branches.names, {*look.moved, *look.out}),
+        "colours": voltage_colours(len(voltages)),
+        "voltages": voltages,
+        "loadings": _loading_words(run.trajectory),
+        "rated": day.network.has_ratings,
+        "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu),
+        "tiers": day.tiers,
+        "kinds": {kind: words for kind, words in SIGNS.items() if len(getattr(day, kind))},
+        "has_outage": bool(run.trajectory.steps["outage"].any()),
+        "data": states | _named(day, branches, drawn),
+    }
+
+
+def _named(day: Scenario, branches: Branches, drawn: Drawing) -> dict[str, Any]:
+    """Names and ratings in the drawing, for the page's script."""
+    customers = zip(day.customers.id, day.customers.tier, strict=True)
+    ends = zip(branches.from_bus, branches.to_bus, strict=True)
+    ratings = [round(rating, 1) for rating in branches.rating_a.tolist()]
+    return {
+        "customers": [f"{name} ({tier})" for name, tier in customers],
+        "lines": [f"{a} to {b}" for a, b in ends],
+        "ratings": [rating if np.isfinite(rating) else None for rating in ratings],
+        "batteries": day.batteries.id.tolist(),
+        "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
+        "devices": {
+            kind: [f"{words} {name}" for name in getattr(day, kind).id]
+            for kind, words in {"pv": "PV", **SIGNS}.items()
         },
-    )
+    }
 
 
 def _named_places(

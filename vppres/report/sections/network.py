@@ -10,32 +10,25 @@ import pandas as pd
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
-from vppres.report.key_figures import number
-from vppres.report.sections.base import Run, Section, section
+from vppres.report.sections.base import Run
 from vppres.scenario.configuration import Branches
 
 LINES_SHOWN = 10
 
 
-def network_section(run: Run) -> Section:
+def network_of(run: Run) -> dict[str, Any]:
     """Voltages, loadings and the lines that came closest to their rating."""
     phased = bool(run.trajectory.scenario.phases)
-    return section(
-        "network",
-        "Voltages and line loading",
-        {
-            "lines": [] if phased else _top_lines(run.trajectory),
-            "phases": _top_phases(run.trajectory) if phased else [],
-            "number": number,
-            "heading": Clock.of(run.trajectory).heading,
-            "figures": [
-                run.figure("voltages"),
-                run.figure("by_phase" if phased else "line_loadings"),
-            ],
-            "maps": run.figure("feeder_maps"),
-            "rated": run.trajectory.scenario.network.has_ratings,
-        },
-    )
+    return {
+        "lines": [] if phased else _top_lines(run.trajectory),
+        "phases": _top_phases(run.trajectory) if phased else [],
+        "figures": [
+            run.figure("voltages"),
+            run.figure("by_phase" if phased else "line_loadings"),
+        ],
+        "maps": run.figure("feeder_maps"),
+        "rated": run.trajectory.scenario.network.has_ratings,
+    }
 
 
 def _top_phases(run: Trajectory) -> list[dict[str, Any]]:

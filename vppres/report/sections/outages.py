@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
 from vppres.outlook.presets import completed
 from vppres.report.clock import Clock
 from vppres.report.plots.figures import has_beliefs
-from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
+from vppres.report.sections.base import Run
 from vppres.scenario.outage_warnings import OutageWarning
 
 
-def outages_section(run: Run) -> Section | None:
+def outages_of(run: Run) -> dict[str, Any] | None:
     """Beliefs beside what came; nothing where outages were known."""
     if not has_beliefs(run.trajectory):
         return None
     scenario = run.trajectory.scenario
     messages = sorted(map(completed, scenario.warnings), key=lambda message: message.issued_at)
-    return section(
-        "outages",
-        "Outage forecasts and outcomes",
-        {
-            "kind": run.trajectory.options["outages"],
-            "figure": run.figure("outage_belief"),
-            "heading": Clock.of(run.trajectory).heading,
-            "messages": [_row(message, Clock.of(run.trajectory)) for message in messages],
-            "folded_above": FOLDED_ABOVE,
-            "counting": _counting(run, Clock.of(run.trajectory)),
-        },
-    )
+    return {
+        "kind": run.trajectory.options["outages"],
+        "figure": run.figure("outage_belief"),
+        "messages": [_row(message, Clock.of(run.trajectory)) for message in messages],
+        "counting": _counting(run, Clock.of(run.trajectory)),
+    }
 
 
 def _counting(run: Run, clock: Clock) -> list[dict[str, str]]:

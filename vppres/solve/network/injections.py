@@ -186,11 +186,11 @@ class Injections:
     @property
     def _all_kw(self) -> Floats:
         """Power that no line exceeds: all that is ever taken and given, (W, 1)."""
-        data, site, kinds = self.data, self.site, self.site.kinds
+        data, site = self.data, self.site
         all_kw: Floats = data.most_load_kw(site).sum(axis=1) + data.pv_kw.sum(axis=1)
         all_kw = all_kw + 2.0 * site.batteries.p_max_kw.sum()
-        all_kw = sum(data.ahead.most_taken_kw(kinds), start=all_kw)
-        all_kw = sum(data.ahead.most_given_kw(kinds), start=all_kw)
+        all_kw = sum(data.ahead.most_taken_kw(), start=all_kw)
+        all_kw = sum(data.ahead.most_given_kw(), start=all_kw)
         if data.drawn:
             all_kw = all_kw + np.abs(data.drawn.kw).sum(axis=1)
         return np.asarray(all_kw)[:, None]
