@@ -92,19 +92,14 @@ def feeder_of(
     """
     net = copy.deepcopy(net)
     notes = [*one_grid(net, name, None, bus_ids)]
-    _raise(_check_elements(net, name) + _check_slack(net, name))
-    open_named(net, name, open_branches)
-    case = case_of(net)
-    joined, stubs, closed = _joined(case)
-    _raise(_check_loops(joined.branches, name) or _check_branches(joined.branches, name))
+    case, (joined, stubs, closed) = _radial(net, name, open_branches)
     ids = _identifiers(joined, bus_ids)
     solved = solve_source(net)
     loads = _loads(net, joined, ids)
     generators, condensers = _without_power(generators_of(net, joined, ids))
     storages, storage_notes = storages_of(net, joined, ids)
     left_out = (*told_left_out(net, case, bus_ids),)
-    branches = parallel_as_one(joined.branches)
-    network = _network(branches, joined, ids, fixed_power(loads, condensers))
+    network = _network(joined, ids, fixed_power(loads, condensers))
     of_customers = loads[has_customer(loads)].reindex(network.buses)
     # The first bus of a row is the one that stays.
     bus_in_net = {ids[row]: bus for bus, row in reversed(joined.bus_at.items())}
@@ -133,6 +128,19 @@ def feeder_of(
         source_solves=solved,
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
+
+
+def _radial(
+    net: Any, name: str, open_branches: Sequence[str]
+) -> tuple[NetCase, tuple[NetCase, list[Stub], list[str]]]:
+    """The case of a net that the model can hold, and what :func:`_joined` makes of it."""
+    _raise(_check_elements(net, name) + _check_slack(net, name))
+    open_named(net, name, open_branches)
+    case = case_of(net)
+    found = _joined(case)
+    branches = found[0].branches
+    _raise(_check_loops(branches, name) or _check_branches(branches, name))
+    return case, found
 
 
 def _raise(problems: list[Problem]) -> None:
@@ -374,10 +382,9 @@ def _identifiers(case: NetCase, bus_ids: Mapping[int, BusId] | None) -> dict[int
     return ids
 
 
-def _network(
-    branches: pd.DataFrame, case: NetCase, ids: Mapping[int, BusId], fixed: pd.DataFrame
-) -> Network:
+def _network(case: NetCase, ids: Mapping[int, BusId], fixed: pd.DataFrame) -> Network:
     """The network, its impedances referred to the voltage that most of its buses have."""
+    branches = parallel_as_one(case.branches)
     rows = np.unique(branches[["from", "to"]].to_numpy(int))
     levels, count = np.unique(case.bus_kv[rows], return_counts=True)
     base_kv = float(levels[np.argmax(count)])

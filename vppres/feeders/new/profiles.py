@@ -150,10 +150,8 @@ def place_profiles(
         np.array([most_kw[own].sum() for own in made_of]), shapes[1], pv.p_max_kw,
     )  # fmt: skip
     files = named(dict.fromkeys(profile.where for profile in profiles))
-    generation = "Demand counts from 0: give generation as a system of its own."
-    problems += _negative(load_kw, customers.id, "customer", generation, files, grid)
-    standby = "Generation counts from 0: write 0 where the system draws power."
-    problems += _negative(pv_kw, pv.id, "system", standby, files, grid)
+    problems += _negative(load_kw, customers.id, "customer", files, grid)
+    problems += _negative(pv_kw, pv.id, "system", files, grid)
     problems += _too_large(pv_kw, pv, files, grid)
     if problems:
         raise InputError(folded(_together(problems)))
@@ -372,16 +370,21 @@ def _invented(names: Names, following: list[int], what: str, rule: str = "") -> 
         yield f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
 
 
-def _negative(
-    values: Floats, names: Names, what: str, cure: str, files: str, grid: TimeGrid
-) -> list[Problem]:
+FROM_ZERO = {
+    "customer": "Demand counts from 0: give generation as a system of its own.",
+    "system": "Generation counts from 0: write 0 where the system draws power.",
+}
+"""Cures of a series below zero."""
+
+
+def _negative(values: Floats, names: Names, what: str, files: str, grid: TimeGrid) -> list[Problem]:
     """Assets whose series falls below zero."""
     return [
         Problem(
             files,
             f"falls to {values[:, i].min():.4g} kW at "
             f"{iso(grid.times[int(values[:, i].argmin())])}",
-            cure,
+            FROM_ZERO[what],
             field=what,
             value=names[i],
         )
