@@ -88,33 +88,6 @@ def moved(plan: dict[str, Any], t: int, day: Scenario) -> list[dict[str, Any]]:
     return [{**one, **times} for one in plan["setpoints"]]
 
 
-def test_mode_off_in_an_island_reconnects_nobody_until_the_grid_is_back(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    clock = SetClock(NOON)
-    with serving(Service(with_former(tiny), HERE), tmp_path, clock) as (http, runner):
-        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
-        plan = decided(http, clock, NOON, soc=0.2)
-        told = {kind: state(said(plan, kind)) for kind in ("customers", "gensets", "batteries")}
-        assert not all(one["served"] for one in told["customers"].values())
-        clock.set(NOON + pd.Timedelta("10min"))
-        assert http.put("/v1/mode", OFF).status == 200
-        runner.anew()
-        for hours in (0, 1, 2):
-            if hours:
-                decided(http, clock, NOON + hours * HOUR, soc=0.2)
-            stored = http.get("/v1/plan").json()
-            assert stored["status"] == "off" and not stored["grid"]["available"]
-            assert {kind: state(now(http, kind)) for kind in told} == told
-        clock.set(NOON + 2 * HOUR + pd.Timedelta("10min"))
-        back = readings(clock.now(), "grid_on", {"grid": 1.0})
-        http.post("/v1/telemetry", {"series": back})
-        assert runner.anew() is not None
-        assert http.get("/v1/plan").json()["grid"]["available"]
-        assert all(one["served"] for one in now(http, "customers").values())
-        assert not now(http, "gensets")["g0"]["running"]
-
-
 def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

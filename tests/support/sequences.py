@@ -191,6 +191,10 @@ class Checks:
         """Equal to what is kept under a name."""
         return bool(found == self.known[name])
 
+    def has_kept(self, name: str, found: str) -> bool:
+        """A text in which is what is kept under a name."""
+        return bool(self.known[name]) and self.known[name] in found
+
     def _is(self, value: Any, found: Any) -> bool:
         return self.part(value, found) if isinstance(value, dict) else self.matches(value, found)
 
