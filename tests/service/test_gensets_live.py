@@ -10,8 +10,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, said
 from tests.support.sets import gensets
+from tests.support.sites import genset
 from tests.support.small_windows import DARK, OPEN, two_buses
 from vppres import (
     Controller,
@@ -170,14 +171,9 @@ def test_a_set_started_by_hand_is_on_and_may_have_given_all_that_it_can() -> Non
     assert only(step)["fuel_litres"] == pytest.approx(200.0 - 33.015 / 2)
 
 
-def with_set(tiny: Scenario, **more: Any) -> Scenario:
-    """The day with a set that all of its demand can be served by."""
-    return replace(tiny, gensets=gensets(bus=[4], p_min_kw=10.0, **more))
-
-
-def test_an_exported_day_has_its_first_delivery_once(tiny: Scenario, tmp_path: Path) -> None:
+def test_an_exported_day_has_its_first_delivery_once(tmp_path: Path) -> None:
     clock = SetClock(NOON)
-    day = replace(with_set(site(tiny)), refuels=Refuels(["g0"], [NOON], [50.0]))
+    day = replace(genset(), refuels=Refuels(["g0"], [NOON], [50.0]))
     with client(Service(day, HERE), tmp_path, clock) as http:
         assert http.post(
             "/v1/telemetry", {"series": readings(NOON, "fuel_litres", {"g0": 120.0})}
@@ -191,10 +187,10 @@ def test_an_exported_day_has_its_first_delivery_once(tiny: Scenario, tmp_path: P
 
 
 def test_a_step_by_rule_leaves_a_set_as_it_was(
-    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = SetClock(NOON)
-    with client(Service(with_set(site(tiny)), HERE), tmp_path, clock) as http:
+    with client(Service(genset(), HERE), tmp_path, clock) as http:
         http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
         first = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
         with monkeypatch.context() as broken:

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving
 from tests.support.phased_feeder import CIRCUIT, day_of
-from tests.support.sets import gensets
+from tests.support.sites import last_former
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.site import Service
@@ -25,13 +25,6 @@ LOST = {"type": "outage", "start": written(NOON)}
 OFF = {"mode": "off", "reason": "work on the line"}
 STATE = ("served", "share", "running", "p_kw", "p_limit_kw", "setpoint_c", "curtailed_kw")
 """Fields of set-points that say how a device is."""
-
-
-def with_former(tiny: Scenario) -> Scenario:
-    """The tiny site with a diesel that forms the grid where the battery, nearly empty, does not."""
-    forms = np.array([True, False])
-    day = replace(site(tiny), batteries=replace(tiny.batteries, grid_forming=forms))
-    return replace(day, gensets=gensets(bus=[4], p_min_kw=10.0, grid_forming=True))
 
 
 def state(points: Mapping[str, Any]) -> dict[str, Any]:
@@ -45,12 +38,10 @@ def now(http: Caller, kind: str) -> dict[str, Any]:
     return {one["asset"]: one for one in points if one["kind"] == kind}
 
 
-def test_a_service_that_is_gone_in_an_island_leaves_it_as_it_is(
-    tiny: Scenario, tmp_path: Path
-) -> None:
+def test_a_service_that_is_gone_in_an_island_leaves_it_as_it_is(tmp_path: Path) -> None:
     """The diesel goes on forming the grid and nobody is reconnected; the plant carries it."""
     clock = SetClock(NOON)
-    day = with_former(tiny)
+    day = last_former()
     with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
         http.put("/v1/events/storm", LOST)
         plan = decided(http, clock, NOON, soc=0.2)
@@ -88,39 +79,12 @@ def moved(plan: dict[str, Any], t: int, day: Scenario) -> list[dict[str, Any]]:
     return [{**one, **times} for one in plan["setpoints"]]
 
 
-def test_mode_off_in_an_island_reconnects_nobody_until_the_grid_is_back(
-    tiny: Scenario, tmp_path: Path
-) -> None:
-    clock = SetClock(NOON)
-    with serving(Service(with_former(tiny), HERE), tmp_path, clock) as (http, runner):
-        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
-        plan = decided(http, clock, NOON, soc=0.2)
-        told = {kind: state(said(plan, kind)) for kind in ("customers", "gensets", "batteries")}
-        assert not all(one["served"] for one in told["customers"].values())
-        clock.set(NOON + pd.Timedelta("10min"))
-        assert http.put("/v1/mode", OFF).status == 200
-        runner.anew()
-        for hours in (0, 1, 2):
-            if hours:
-                decided(http, clock, NOON + hours * HOUR, soc=0.2)
-            stored = http.get("/v1/plan").json()
-            assert stored["status"] == "off" and not stored["grid"]["available"]
-            assert {kind: state(now(http, kind)) for kind in told} == told
-        clock.set(NOON + 2 * HOUR + pd.Timedelta("10min"))
-        back = readings(clock.now(), "grid_on", {"grid": 1.0})
-        http.post("/v1/telemetry", {"series": back})
-        assert runner.anew() is not None
-        assert http.get("/v1/plan").json()["grid"]["available"]
-        assert all(one["served"] for one in now(http, "customers").values())
-        assert not now(http, "gensets")["g0"]["running"]
-
-
 def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
-    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A set goes on, and a battery rests: what it held may be gone."""
     clock = SetClock(NOON)
-    with client(Service(with_former(tiny), HERE), tmp_path, clock) as http:
+    with client(Service(last_former(), HERE), tmp_path, clock) as http:
         http.put("/v1/events/storm", LOST)
         first = decided(http, clock, NOON, soc=0.2)
         stopped = {("gensets", "g0"): "no number", ("batteries", "big"): "no number"}

@@ -163,28 +163,6 @@ def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.Monkey
     ]
 
 
-@pytest.mark.daily
-def test_what_is_not_kept_and_what_nobody_decided(stormy: Any) -> None:
-    runner, http, _ = stormy
-    for time, status in (
-        ("2026-11-21T11:00:00Z", 404),
-        ("2026-11-21T13:00:00Z", 404),
-        ("noon", 422),
-    ):
-        answer = http.get(f"/v1/explanations?at={time}")
-        assert answer.status == status
-        assert answer.headers["content-type"] == "application/problem+json"
-    http.put("/v1/mode", {"mode": "off", "reason": "works on the line"})
-    runner.clock.set(NOON + pd.Timedelta("1h"))
-    assert http.post("/v1/steps").json()["status"] == "off"
-    found = http.get("/v1/explanations").json()
-    # In the outage devices keep what they were told, and say for whom.
-    assert {one["words"] for one in found["reasons"]} == {"default: works on the line"}
-    assert found["price"] is None
-    assert found["step"]["words"] == "works on the line"
-    assert found["price_reason"] == explainer.UNDECIDED
-
-
 def test_a_plan_that_leaves_a_customer_off_is_explained_before_anybody_asks(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

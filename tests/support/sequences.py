@@ -105,7 +105,7 @@ class Checks:
         if isinstance(expected, list):
             same = isinstance(found, list) and len(found) == len(expected)
             return same and all(map(self.matches, expected, found))
-        return type(found) is not type and bool(found == expected)
+        return bool(found == expected)
 
     above = staticmethod(lambda value, found: found > value)
     below = staticmethod(lambda value, found: found < value)
@@ -191,47 +191,43 @@ class Checks:
         """Equal to what is kept under a name."""
         return bool(found == self.known[name])
 
+    def has_kept(self, name: str, found: str) -> bool:
+        """A text in which is what is kept under a name."""
+        return bool(self.known[name]) and self.known[name] in found
+
     def _is(self, value: Any, found: Any) -> bool:
         return self.part(value, found) if isinstance(value, dict) else self.matches(value, found)
 
 
-class Words(yaml.SafeLoader):
-    """YAML without its dates, octal numbers and words for true: ``off`` is a word here.
-
-    A time of the day is that moment, as it is sent.
-    """
-
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
-
-
-for first, resolver in (
-    ("~n", ("null", re.compile(r"null$|~$"))),
-    ("tf", ("bool", re.compile(r"true$|false$"))),
-    ("-+0123456789", ("int", re.compile(r"[-+]?\d+$"))),
-    (
-        "-+.0123456789",
-        (
-            "float",
-            re.compile(r"[-+]?(\d+\.\d*|\.\d+|\d+(?=[eE]))([eE][-+]?\d+)?$|[-+]?\.inf$|\.nan$"),
-        ),
-    ),
-):
-    Words.add_implicit_resolver(f"tag:yaml.org,2002:{resolver[0]}", resolver[1], list(first))
-Words.add_implicit_resolver("!moment", TIME, list("0123456789"))
-Words.add_constructor("!moment", lambda loader, node: written(moment(node.value)))
+def word(loader: Any, node: yaml.ScalarNode) -> Any:
+    """A plain word: a number, true, false or null as in JSON, a time as it is sent, else a text."""
+    if node.style is not None:
+        return node.value
+    if TIME.match(node.value):
+        return written(moment(node.value))
+    try:
+        return json.loads(node.value)
+    except ValueError:
+        return node.value
 
 
-def _check(loader: Any, name: str, node: yaml.Node) -> Check:
+def check(loader: Any, name: str, node: yaml.Node) -> Check:
+    """A check by its name, and what stands behind it."""
     if isinstance(node, yaml.MappingNode):
         return Check(name, loader.construct_mapping(node, deep=True))
     if isinstance(node, yaml.SequenceNode):
         return Check(name, loader.construct_sequence(node, deep=True))
-    plain = node.style is None
-    tag = loader.resolve(yaml.ScalarNode, node.value, (plain, not plain))
-    return Check(name, loader.construct_object(yaml.ScalarNode(tag, node.value)))
+    return Check(name, word(loader, node))
 
 
-Words.add_multi_constructor("!", _check)
+class Words(yaml.SafeLoader):
+    """YAML in which ``off`` is a word and a date a text."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+
+
+Words.add_constructor("tag:yaml.org,2002:str", word)
+Words.add_multi_constructor("!", check)
 
 
 def read(text: str) -> Any:
@@ -375,8 +371,10 @@ def service_of(given: Mapping[str, Any]) -> Service:
 class Player:
     """A service that is asked row by row."""
 
-    def __init__(self, service: Service, folder: Path, stack: ExitStack) -> None:
-        self.service, self.folder, self.stack = service, folder, stack
+    def __init__(
+        self, service: Service, folder: Path, stack: ExitStack, caught: pytest.LogCaptureFixture
+    ) -> None:
+        self.service, self.folder, self.stack, self.caught = service, folder, stack, caught
         self.clock = SetClock(NOON)
         self.known: dict[str, Any] = {"etag": ""}
         self.checks = Checks(self.known)
@@ -389,7 +387,9 @@ class Player:
         for row in rows:
             found = ROW.match(row)
             assert found, f"no row: {row}"
-            asked = REQUEST.match(put_in(found["request"], self.known))
+            request = put_in(found["request"], self.known)
+            assert "$" not in request + (found["parts"] or ""), f"a name that is not known: {row}"
+            asked = REQUEST.match(request)
             assert asked, f"no request: {row}"
             answer = self.ask(moment(found["time"]), asked)
             status = int(found["status"] or 200)
@@ -477,6 +477,10 @@ class Player:
         changes = self.runner.changes
         return answered({"reasons": list(changes.reasons), "new": changes.new.is_set()})
 
+    def log(self, _: None) -> Answer:
+        """What was logged so far."""
+        return answered({"messages": self.caught.messages})
+
     def export(self, span: dict[str, str]) -> Answer:
         """Tables of the run that is written out: columns over steps, of each asset if there are some."""
         run = export(self.service, self.folder, span["from"], span["to"])
@@ -523,7 +527,7 @@ def answered(found: Any) -> Answer:
     return Answer(204 if found is None else 200, {}, json.dumps(found, default=str).encode())
 
 
-def play(sequence: Sequence, folder: Path) -> None:
+def play(sequence: Sequence, folder: Path, log: pytest.LogCaptureFixture) -> None:
     """Play a sequence against a service of its site."""
     with ExitStack() as stack:
-        Player(service_of(sequence.site), folder, stack).play(sequence.rows)
+        Player(service_of(sequence.site), folder, stack, log).play(sequence.rows)
