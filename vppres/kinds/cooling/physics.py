@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling import OF_A_STEP, ThermalLoads
-from vppres.kinds.kind import Followers, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, Planned, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.scenario.scenario import Scenario
 
 

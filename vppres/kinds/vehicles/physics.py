@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.kind import Followers, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, Planned, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
