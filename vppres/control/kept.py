@@ -53,7 +53,7 @@ def _states_to_try(state: StepState) -> Iterator[StepState]:
     units, island, dt_h = state.site.kinds, state.island, state.site.dt_h
     ways = {
         kind: known.by_rule(units[kind], lacking_kw, island, dt_h)
-        for kind, known in state.ahead.by_kind.items()
+        for kind, known in state.now.ahead.by_kind.items()
     }
     tried = state.acting({kind: of_kind[0] for kind, of_kind in ways.items()})
     yield tried
@@ -86,7 +86,9 @@ def _beside(state: StepState, formers: Mapping[str, Flags], wanted_kw: float) ->
     for kind, forms in formers.items():
         units = state.site.kinds[kind]
         each_kw = np.where(forms, np.minimum(wanted_kw, units.largest_kw), 0.0)
-        acts[kind] = state.ahead.by_kind[kind].beside(units, each_kw, state.island, state.site.dt_h)
+        acts[kind] = state.now.ahead.by_kind[kind].beside(
+            units, each_kw, state.island, state.site.dt_h
+        )
     return state.acting(acts)
 
 
@@ -101,7 +103,7 @@ def _only_supplied_take(plan: Dispatch, state: StepState) -> bool:
 
 def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
     """The step with the flexible power of a plan, of the units that are there."""
-    by_kind = state.ahead.by_kind
+    by_kind = state.now.ahead.by_kind
     return replace(
         state,
         taken_kw={kind: by_kind[kind].here_kw(kw[row]) for kind, kw in plan.taken_kw.items()},

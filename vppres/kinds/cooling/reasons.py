@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from vppres.explain.reason import Reason
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 
 AHEAD_C = 0.5
 """How far inside its band a temperature is that was brought there for later."""

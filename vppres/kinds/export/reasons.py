@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from vppres.explain.reason import Reason
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 from vppres.explain.words import figure, money
 
 LIMIT_KW = 1.0

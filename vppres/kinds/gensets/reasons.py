@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from vppres.day.trajectory import FORMS
+from vppres.explain.reason import Reason
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 
 ACTIONS = {
     "ran": "generating set ran",

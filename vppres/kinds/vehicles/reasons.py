@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from vppres.explain.reason import Reason
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 
 Vehicle = dict[str, Any]
 
