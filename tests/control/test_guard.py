@@ -37,9 +37,7 @@ from vppres.core.errors import InfeasibleError, LimitError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day, run_day
-from vppres.kinds.customer.physics import Owed
 from vppres.model.data import WindowData
-from vppres.model.parts import Parts
 from vppres.model.site import Site
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.network import Network
@@ -62,22 +60,6 @@ def state_of(seed: int, stressed: bool = False) -> tuple[Scenario, StepState]:
     return scenario, first_step(scenario, data)
 
 
-def window_of(state: StepState) -> WindowData:
-    """The step as the data of a window, for the independent checker."""
-    return WindowData(
-        state.load_kw[None],
-        state.pv_kw[None],
-        np.zeros(1),
-        np.array([state.grid_limit_kw]),
-        state.soc,
-        state.eta_charge,
-        state.eta_discharge,
-        state.offset_pu2[None],
-        owed=Owed.of(state.site.customers, state.site.dt_h),
-        parts=Parts.one(state.site.network, len(state.soc), 1),
-    )
-
-
 @pytest.mark.daily
 @settings(max_examples=50)
 @given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0), stressed=st.booleans())
@@ -87,7 +69,7 @@ def test_rule_is_always_feasible_and_carried_out_as_it_is(
     scenario, state = state_of(seed, stressed)
     plan = rule_dispatch(state, TIERS, np.full(len(scenario.batteries), charge_kw))
     # Inverters of stressed windows may be too small for what their owners consume themselves.
-    found = {} if stressed else check_dispatch(scenario, window_of(state), plan).violations
+    found = {} if stressed else check_dispatch(scenario, state.now, plan).violations
     first = plan.served[0] & (scenario.customers.tier == "critical")
     alone = carry(state, first, np.zeros(len(scenario.batteries)))
     assert plan.no_worse_than(alone)
@@ -101,7 +83,8 @@ def test_rule_is_always_feasible_and_carried_out_as_it_is(
     now = replace(
         scenario, load_kw=np.tile(state.load_kw, steps), pv_kw=np.tile(state.pv_kw, steps)
     )
-    battery = BatteryState(state.soc, state.eta_charge, state.eta_discharge, 25.0 + 0 * state.soc)
+    seen = state.now
+    battery = BatteryState(seen.soc, seen.eta_charge, seen.eta_discharge, 25.0 + 0 * seen.soc)
     done = Plant(now).apply(0, Decision(plan), battery)
     assert done.clipped_kw < 1e-6
     assert -done.p_injection_kw.sum() == pytest.approx(plan.p_grid_kw[0], abs=1e-5)
@@ -360,7 +343,7 @@ def test_least_slack_by_hand() -> None:
     # Nobody served and nothing fed in: every voltage is the slack bus's.
     scenario = with_slack(small_scenario(), 0.92)
     site, net = Site.of(scenario), scenario.network
-    data = window_of(step(scenario, 1, soc=0.15))
+    data = step(scenario, 1, soc=0.15).now
     without_q = replace(data, pv_kw=0.0 * data.pv_kw)
     assert least_slack(site, without_q, 20.0) <= net.v_min_pu**2 - 0.92**2 + 1e-6
     assert least_slack(Site.of(small_scenario()), data, 20.0) == pytest.approx(0.0, abs=1e-6)

@@ -28,7 +28,6 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
 from vppres.solve import shadow_prices
-from vppres.solve.shadow_prices import ShadowPriceModel
 
 pytest.importorskip("opendssdirect")
 
@@ -283,11 +282,11 @@ def test_the_tree_of_a_feeder_with_phases_has_no_part_in_its_prices(
     street: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     day = on_phase_a(street, 12.0, [np.inf, DARK])
-    windows = Windows(run_of(day, horizon_h=1.0))
+    run = run_of(day, horizon_h=1.0)
 
     def prices(t: int, letters: int) -> dict[str, Floats]:
-        model = ShadowPriceModel(windows.site, windows.seen(t).n_steps, windows.beyond_at(t))
-        found = step_prices(windows, model, t)
+        windows = Windows(run)
+        found, model = step_prices(windows, t), windows.model(t, windows.seen(t).n_steps)
         assert len({"u", "P_flow", "Q_flow"} & model.first.keys()) == letters
         level = found.service if found.cost is None else found.cost
         names = ("stored_energy", "active", "reactive", "former_phase", "battery_inverter")

@@ -20,8 +20,7 @@ from vppres.day.phases import phases
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
-from vppres.explain.prices import day_prices
-from vppres.explain.step import DRIVERS, Driver
+from vppres.explain.reason import DRIVERS, Driver
 from vppres.explain.windows import Windows
 from vppres.explain.words import figure, hours
 from vppres.kinds.customer.physics import Owed
@@ -620,7 +619,7 @@ def test_figures_have_two_digits_that_count() -> None:
 
 @pytest.mark.nightly
 def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:
-    solver_s = [prices.solver_s for prices in day_prices([Windows(heatwave)] * len(heatwave.steps))]
+    solver_s = [step.levels.solver_s for step in steps_of(heatwave)]
     assert len(solver_s) == 15
     # The bar is 60 ms a step on a quiet core; the median stands a busy machine.
     assert float(np.median(solver_s)) < 0.3

@@ -592,7 +592,8 @@ def test_the_rule_serves_the_largest_worth_of_a_first_tier_that_power_suffices_f
     customers = replace(day.customers, tier=["critical"] * len(names), weight=weight)
     island = replace(full(day), customers=customers).between(12, 13)
     state = first_state(island)
-    state = replace(state, pv_kw=0.0 * state.pv_kw, load_kw=np.zeros(len(names)))
+    dark = replace(state.now, pv_kw=0.0 * state.now.pv_kw, load_kw=np.zeros((1, len(names))))
+    state = replace(state, now=dark)
     former_kw = state.discharge_max_kw[island.batteries.formers].sum()
     state.load_kw[[large, small]] = 0.8 * former_kw, 0.4 * former_kw
     served = rule_dispatch(state, list(island.tiers)).served[0]

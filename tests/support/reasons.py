@@ -26,9 +26,10 @@ from vppres.core.units import kva_to_a
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.explain.day import steps_of
+from vppres.explain.reason import Reason
 from vppres.explain.reasons import why_not_served
 from vppres.explain.room import limits_in_full
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 from vppres.explain.windows import Windows
 from vppres.model.site import Site
 from vppres.scenario.scenario import LIMIT, SOFT, Scenario

@@ -130,16 +130,6 @@ def observed(day: Scenario, t0: int, forecast: Forecast, soc: Floats) -> Observa
 
 def first_step(scenario: Scenario, data: WindowData) -> StepState:
     """State that a guard knows in the first step of a window, all batteries there."""
-    return StepState(
-        Site.of(scenario),
-        data.load_kw[0],
-        data.pv_kw[0],
-        float(data.grid_limit_kw[0]),
-        data.soc,
-        data.eta_charge,
-        data.eta_discharge,
-        data.delta_pu2[0],
-        np.ones(len(data.soc), dtype=bool),
-        parts=data.parts.part(slice(1)),
-        due=np.zeros(len(scenario.customers), dtype=bool),
-    )
+    online = np.ones(len(data.soc), dtype=bool)
+    nobody = np.zeros(len(scenario.customers), dtype=bool)
+    return StepState(Site.of(scenario), data.first(1), online, due=nobody)

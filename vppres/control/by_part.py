@@ -16,6 +16,7 @@ from vppres.control.carried import Carried, dispatch_of
 from vppres.control.rules import carry, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.export.physics import Export
 from vppres.model.linearise import Drawn
 
 Rule = Callable[[StepState], Carried | None]
@@ -23,7 +24,7 @@ Rule = Callable[[StepState], Carried | None]
 
 def parts_of_step(state: StepState) -> Iterator[StepState]:
     """Parts of a step, that with the grid's bus first; the step itself where no line is out."""
-    parts = state.parts
+    parts = state.now.parts
     numbers = parts.of_bus[0]
     for number in np.unique(numbers):
         for dead in (False, True):
@@ -36,17 +37,20 @@ def _part_at(state: StepState, buses: Flags, with_grid: bool, dead: bool) -> Ste
     """The part of some buses: a step in which there is nothing outside of it."""
     site, part = state.site, replace(state, inside=buses, dead=dead)
     lit = {kind: part.items(place) & (not dead) for kind, place in site.unit_bus.items()}
+    now = state.now
+    inside = replace(
+        now,
+        load_kw=now.load_kw * part.items(site.customer_bus),
+        pv_kw=now.pv_kw * part.items(site.pv_bus),
+        grid_limit_kw=now.grid_limit_kw if with_grid else np.zeros(1),
+        export=now.export if with_grid else Export.absent(),
+        drawn=now.drawn and Drawn(now.drawn.kw * buses, now.drawn.kvar * buses),
+        ahead=now.ahead.in_dead_parts({kind: on[np.newaxis] for kind, on in lit.items()}),
+    )
     return replace(
         part,
-        load_kw=state.load_kw * part.items(site.customer_bus),
-        pv_kw=state.pv_kw * part.items(site.pv_bus),
-        grid_limit_kw=state.grid_limit_kw if with_grid else 0.0,
-        export_limit_kw=state.export_limit_kw if with_grid else 0.0,
+        now=inside,
         online=state.online & part.items(site.battery_bus) & (not dead),
-        drawn=state.drawn and Drawn(state.drawn.kw[:1] * buses, state.drawn.kvar[:1] * buses),
-        ahead=state.ahead.part(slice(1)).in_dead_parts(
-            {kind: on[np.newaxis] for kind, on in lit.items()}
-        ),
         taken_kw={kind: kw * lit[kind] for kind, kw in state.taken_kw.items()},
         running={kind: on & lit[kind] for kind, on in state.running.items()},
     )
@@ -77,7 +81,8 @@ def rule_by_part(
 def no_supply(state: StepState) -> Carried:
     """A step that no source can form: no supply, and all PV power curtailed."""
     site = state.site
-    without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=Drawn.absent())
+    now = replace(state.now, pv_kw=0.0 * state.now.pv_kw, drawn=Drawn.absent())
+    without_power = replace(state, now=now)
     served = np.zeros(len(site.customers), dtype=bool)
     found = carry(without_power, served, np.zeros(len(site.batteries)))
     assert found is not None  # with no demand and no power every balance closes

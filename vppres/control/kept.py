@@ -51,7 +51,8 @@ def _states_to_try(state: StepState) -> Iterator[StepState]:
     """The step with each kind by its rule; one kind after another gives way."""
     lacking_kw = float(state.load_kw.sum() + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     ways = {
-        kind: known.by_rule(lacking_kw, state.island) for kind, known in state.ahead.by_kind.items()
+        kind: known.by_rule(lacking_kw, state.island)
+        for kind, known in state.now.ahead.by_kind.items()
     }
     tried = state.acting({kind: of_kind[0] for kind, of_kind in ways.items()})
     yield tried
@@ -84,7 +85,7 @@ def _beside(state: StepState, formers: Mapping[str, Flags], wanted_kw: float) ->
     for kind, forms in formers.items():
         units = state.site.kinds[kind]
         each_kw = np.where(forms, np.minimum(wanted_kw, units.largest_kw), 0.0)
-        acts[kind] = state.ahead.by_kind[kind].beside(each_kw, state.island)
+        acts[kind] = state.now.ahead.by_kind[kind].beside(each_kw, state.island)
     return state.acting(acts)
 
 
@@ -99,7 +100,7 @@ def _only_supplied_take(plan: Dispatch, state: StepState) -> bool:
 
 def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
     """The step with the flexible power of a plan, of the units that are there."""
-    by_kind = state.ahead.by_kind
+    by_kind = state.now.ahead.by_kind
     return replace(
         state,
         taken_kw={kind: by_kind[kind].here_kw(kw[row]) for kind, kw in plan.taken_kw.items()},

@@ -86,9 +86,9 @@ def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
 def supply_of(state: StepState) -> int:
     """Supply of a step, or of the part that it is, in the model of its site."""
     model = phased_model(state.site)
-    if state.parts.whole:
+    if state.now.parts.whole:
         return int(model.sources_of(np.array(state.island), state.formers))
-    return model.source_in(state.parts, state.island, state.inside)
+    return model.source_in(state.now.parts, state.island, state.inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ class Former:
         model = phased_model(state.site)
         source = supply_of(state)
         for kind, forms in state.formers.items():
-            units, known = state.site.kinds[kind], state.ahead.by_kind[kind]
+            units, known = state.site.kinds[kind], state.now.ahead.by_kind[kind]
             taken_kw, on = zip(
                 *(
                     known.beside(np.where(forms, kw, 0.0), state.island)

@@ -32,5 +32,5 @@ class Proposing(Switching):
         """Operations that begin as the decision leaves the feeder."""
         out = observation.forecast.out.part(slice(1))
         here = self.controller_in(self.closed)
-        dead = here.day.at_buses(self.state_in(here, observation).parts.dead[0])
+        dead = here.day.at_buses(self.state_in(here, observation).now.parts.dead[0])
         return Operations(self, observation, out, out, ~np.asarray(dead), self.within)

@@ -202,7 +202,7 @@ def _with_network(
         kind: holds & state.running.get(kind, False) for kind, holds in state.holders.items()
     }
     for kind, gives in (running | state.formers).items():
-        most_kvar = state.ahead.by_kind[kind].q_most_kvar()[0] * gives
+        most_kvar = state.now.ahead.by_kind[kind].q_most_kvar()[0] * gives
         given_kvar[kind] = np.clip(missing_kvar, -most_kvar, most_kvar)
         short_kvar -= float(np.abs(given_kvar[kind]).sum())
     pv = own, export, pv_q

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from vppres.contract.ahead import KindsAhead
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
@@ -17,9 +16,8 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.batteries.physics import BatteriesAhead
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, curtailed_kw, lossless_flows, squared_voltages
-from vppres.model.linearise import Drawn
 from vppres.model.own_state import voltages_without_control, with_own_state
-from vppres.model.parts import Parts, at_items, parts_of
+from vppres.model.parts import at_items, parts_of
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.formers import largest_forming_battery
@@ -30,31 +28,14 @@ class StepState:
     """The step to decide on."""
 
     site: Site  #: fixed data
-    #: Demand and available PV power, (C,) and (P,).
-    load_kw: Floats
-    pv_kw: Floats
-    grid_limit_kw: float  #: largest import, 0 in an outage
-    #: State of charge and efficiencies, (B,) each.
-    soc: Floats
-    eta_charge: Floats
-    eta_discharge: Floats
-    offset_pu2: Floats  #: offset of the delta form of LinDistFlow, (L,)
+    now: WindowData  #: what is known of it, a window of one step
     online: Flags  #: batteries that can be used, (B,)
-    #: Largest export, 0 in an outage and where the connection imports only.
-    export_limit_kw: float = 0.0
-    #: What the network itself draws, one step; None where it draws nothing.
-    drawn: Drawn = field(default_factory=Drawn.absent)
     #: Voltages that the feeder has without control, where limits give way to them; none if not
     #: given, (k, N).
     own_v_pu: Floats = field(default_factory=lambda: np.empty((0, 1)))
-    #: Vehicles, rooms and generating sets; none if not given.
-    ahead: KindsAhead = field(default_factory=KindsAhead)
-    #: Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
+    #: Whether it is an island that no battery can form; ``now.ahead`` has the set that can, if any.
     dark: bool = False
     dead: bool = False  #: whether it is a part that nothing forms, or whose bus is out
-    #: Parts into which lines that are out cut the feeder, one step.
-    parts: Parts = field(kw_only=True)
-    whole: Flags | None = None  #: customers that cannot be dimmed, (C,); none if not given
     due: Flags = field(kw_only=True)  #: customers whose longest time off has ended, (C,)
     inside: Flags | None = None  #: buses of the part that it is the step of; all if not given, (N,)
     #: Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
@@ -80,25 +61,28 @@ class StepState:
         # Demand is higher for those who would be restored now.
         now = with_own_state(site, WindowData.of(seen, site, centre).first(1))
         own_v_pu = voltages_without_control(site, now)
-        now = now.for_service(everyone)
-        return cls(
-            site,
-            now.load_kw[0],
-            now.pv_kw[0],
-            float(now.grid_limit_kw[0]),
-            now.soc,
-            now.eta_charge,
-            now.eta_discharge,
-            now.delta_pu2[0],
-            seen.online,
-            seen.forecast.export_now_kw,
-            now.drawn,
-            own_v_pu,
-            now.ahead,
-            parts=parts,
-            whole=seen.whole,
-            due=seen.switching.due,
-        )
+        now = replace(now.for_service(everyone), parts=parts)
+        return cls(site, now, seen.online, own_v_pu, due=seen.switching.due)
+
+    @property
+    def load_kw(self) -> Floats:
+        """Demand, (C,)."""
+        return np.asarray(self.now.load_kw[0])
+
+    @property
+    def pv_kw(self) -> Floats:
+        """Available PV power, (P,)."""
+        return np.asarray(self.now.pv_kw[0])
+
+    @property
+    def grid_limit_kw(self) -> float:
+        """Largest import, 0 in an outage."""
+        return float(self.now.grid_limit_kw[0])
+
+    @property
+    def export_limit_kw(self) -> float:
+        """Largest export, 0 in an outage and where the connection imports only."""
+        return float(self.now.export.limit_kw[0]) if self.now.export else 0.0
 
     def items(self, place: Any) -> Flags:
         """Which of the items that are placed on buses are inside, (n,)."""
@@ -115,17 +99,17 @@ class StepState:
     @property
     def formers(self) -> dict[str, Flags]:
         """Units that form the grid, (n,), by kind; none where none has to, or can."""
-        return {kind: forms[0] for kind, forms in self.ahead.formers().items()}
+        return {kind: forms[0] for kind, forms in self.now.ahead.formers().items()}
 
     @property
     def holders(self) -> dict[str, Flags]:
         """Units that hold a part if they run, (n,), by kind; none where no part needs them."""
-        return {kind: holds[0] for kind, holds in self.ahead.holders().items()}
+        return {kind: holds[0] for kind, holds in self.now.ahead.holders().items()}
 
     def acting(self, acts: Mapping[str, tuple[Floats, Flags]]) -> StepState:
         """Step state with these powers of kinds, and which units run of those that are switched."""
         taken_kw = {kind: kw for kind, (kw, _) in acts.items()}
-        switched = (kind for kind in acts if self.ahead.by_kind[kind].switched)
+        switched = (kind for kind in acts if self.now.ahead.by_kind[kind].switched)
         running = {kind: acts[kind][1] for kind in switched}
         return replace(self, taken_kw=self.taken_kw | taken_kw, running=self.running | running)
 
@@ -137,21 +121,23 @@ class StepState:
     @property
     def forming_battery(self) -> int | None:
         """The battery that holds an island, or the part that it is; None if none can."""
-        if self.parts.whole:
+        if self.now.parts.whole:
             return largest_forming_battery(self.site)
-        able = self.parts.forms[0] & self.online
+        able = self.now.parts.forms[0] & self.online
         kva = np.where(able, self.site.batteries.s_max_kva, -1.0)
         return int(np.argmax(kva)) if able.any() else None
 
     @cached_property
     def drawn_kw(self) -> Floats:
         """Active power that the network itself draws, (N,)."""
-        return self.drawn.kw[0] if self.drawn else np.zeros(self.site.network.n_buses)
+        drawn = self.now.drawn
+        return drawn.kw[0] if drawn else np.zeros(self.site.network.n_buses)
 
     @cached_property
     def drawn_kvar(self) -> Floats:
         """Reactive power that the network itself draws, (N,)."""
-        return self.drawn.kvar[0] if self.drawn else np.zeros(self.site.network.n_buses)
+        drawn = self.now.drawn
+        return drawn.kvar[0] if drawn else np.zeros(self.site.network.n_buses)
 
     @cached_property
     def usable_pv_kw(self) -> Floats:
@@ -161,7 +147,7 @@ class StepState:
     @cached_property
     def batteries_ahead(self) -> BatteriesAhead:
         """The batteries from this step on."""
-        return BatteriesAhead.of(self.site.batteries, self, self.site.dt_h)
+        return BatteriesAhead.of(self.site.batteries, self.now, self.site.dt_h)
 
     @cached_property
     def charge_max_kw(self) -> Floats:
@@ -254,5 +240,5 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Float
     net = state.site.network
     p_flow = lossless_flows(net, p_kw - state.drawn_kw)
     q_flow = lossless_flows(net, q_kvar - state.drawn_kvar)
-    u = squared_voltages(net, p_flow, q_flow, state.offset_pu2)
+    u = squared_voltages(net, p_flow, q_flow, state.now.delta_pu2[0])
     return p_flow, q_flow, net.v_pu(np.maximum(u, 0.0))

@@ -13,16 +13,18 @@ from vppres.day.configured import configurations_of, run_in
 from vppres.day.recorder import ROTATED
 from vppres.day.simulate import Progress
 from vppres.day.trajectory import Trajectory
-from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
+from vppres.explain.costs import WORTH
+from vppres.explain.prices import WORTH_GBP, step_prices
+from vppres.explain.reason import Reason
 from vppres.explain.reasons import why_battery_moved, why_curtailed
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 from vppres.explain.summary import why_step
 from vppres.explain.windows import Windows
 from vppres.kinds.customer import reasons as customer
 from vppres.kinds.kind import MOVE_KW
 from vppres.kinds.table import KINDS, parts
 from vppres.scenario.phases import PHASES
-from vppres.solve.shadow_prices import ShadowPriceModel, ShadowPrices
+from vppres.solve.shadow_prices import ShadowPrices
 
 EXPLANATIONS = ("time", "phase", "item", "id", "action", "driver", "binding", "words")
 SHADOW_PRICES = ("time", "constraint", "item", "unit", "weighted_h", "gbp")
@@ -68,23 +70,22 @@ def explain_day(trajectory: Trajectory, progress: Progress | None = None) -> Tra
 
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
-    [windows] = _weighed(trajectory, slice(t, t + 1))
-    n_steps = windows.seen(t).n_steps
-    model = ShadowPriceModel(windows.site, n_steps, windows.beyond_at(t))
-    phase = trajectory.steps["phase"].iloc[t]
-    step = Step(windows, t, phase, step_prices(windows, model, t))
-    return [{"phase": phase, **row} for row in _actions(step)], _prices(step)
+    [step] = steps_of(trajectory, which=slice(t, t + 1))
+    return [{"phase": step.phase, **row} for row in _actions(step)], _prices(step)
 
 
-def steps_of(trajectory: Trajectory, progress: Progress | None = None) -> list[Step]:
-    """Every step of a run with its phase and its shadow prices."""
-    windows = _weighed(trajectory, slice(None))
-    return [
-        Step(one, t, phase, prices)
-        for t, (one, phase, prices) in enumerate(
-            zip(windows, trajectory.steps["phase"], day_prices(windows, progress), strict=True)
-        )
-    ]
+def steps_of(
+    trajectory: Trajectory, progress: Progress | None = None, which: slice = slice(None)
+) -> list[Step]:
+    """Steps of a run, all if not given, with their phases and their shadow prices."""
+    phases = trajectory.steps["phase"]
+    windows = _weighed(trajectory, which)
+    found = []
+    for t, of_step in zip(range(len(phases))[which], windows, strict=True):
+        found.append(Step(of_step, t, phases.iloc[t], step_prices(of_step, t)))
+        if progress is not None:
+            progress(len(found), len(windows))
+    return found
 
 
 def _weighed(trajectory: Trajectory, steps: slice) -> list[Windows]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from vppres.core.errors import SolveError
 from vppres.core.text import in_pounds, named
@@ -37,11 +36,11 @@ def kept_for(step: Step, customer: int) -> str:
     """
     service = step.levels.service
     demand_kw = float(step.load_kw[customer])
-    if service is None or step.dark_steps < 2 or step.spare_now_kw < demand_kw:
+    if service is None or step.spare.dark_steps < 2 or step.spare.now_kw < demand_kw:
         return ""
     if limits_in_full(step, customer, "energy") not in ([], ["energy"]):
         return ""
-    later = slice(1, step.dark_steps)
+    later = slice(1, step.spare.dark_steps)
     c = step.site.customers
     if step.site.ranks is None:
         per_kw = c.weight / np.maximum(step.levels.window.load_kw[later], 1e-9)
@@ -61,7 +60,7 @@ def kept_for(step: Step, customer: int) -> str:
     last = int(np.flatnonzero(on.any(axis=1))[-1]) + 1
     grid = step.scenario.grid
     until = grid.local(grid.times[step.t] + (last + 1) * grid.step)
-    grid_back = last + 1 == step.dark_steps < step.levels.window.n_steps
+    grid_back = last + 1 == step.spare.dark_steps < step.levels.window.n_steps
     then = "when the grid is expected" if grid_back else "before which no grid is expected"
     return (
         f"kept for later hours of {named(names, NAMES_SHOWN)} ({highest}){more} "
@@ -69,47 +68,14 @@ def kept_for(step: Step, customer: int) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Kept:
-    """Energy that is kept in a step."""
-
-    share: float  #: what batteries and tanks hold after it, of what they may
-    end: pd.Timestamp  #: end of the step
-    #: Latest time, of those with a probability of ``POSSIBLE``, up to which there is an outage.
-    likely_to: pd.Timestamp
-    probability: float  #: its probability
-    #: What the step would cost less if nothing were kept: import, and supply at the value of lost
-    #: load.
-    gbp: float
-    covers: str  #: the most important customers
-    hours: float  #: for how long the energy supplies them alone
-
-    def words(self, out: bool, zone: str) -> str:
-        """Description of the kept energy in a sentence; times by the clocks at the site."""
-        end, until = (f"{one.tz_convert(zone):%H:%M}" for one in (self.end, self.likely_to))
-        may = "the outage may last to" if out else "an outage is possible up to"
-        costs = in_pounds(self.gbp, ",.0f") if self.gbp >= LEAST_GBP else "nothing"
-        return (
-            f"{self.share:.0%} of the usable energy is kept until {end} because {may} {until} with "
-            f"{self.probability:.0%}; it costs {costs} in this step; it covers {self.covers} for "
-            f"{figure(self.hours)} h."
-        )
-
-
 def why_kept(step: Step) -> str:
-    """Why a step keeps energy for a possible outage; empty if it does not."""
-    kept = kept_in(step)
-    return "" if kept is None else kept.words(step.outage, step.scenario.grid.zone)
-
-
-def kept_in(step: Step) -> Kept | None:
-    """Energy that a step keeps for a possible outage; None if it keeps none, or for the price."""
+    """Why a step keeps energy for a possible outage; empty if it keeps none, or for the price."""
     window = step.levels.window
     worth = step.later_worth_gbp
     if window.stored_value is None or worth is None:
-        return None
+        return ""
     if not step.outage and worth <= step.dearest_gbp:
-        return None
+        return ""
     ahead = step.windows.believed[step.t, step.t + 1 :]
     possible = np.flatnonzero(np.nan_to_num(ahead) >= POSSIBLE)
     b = step.site.batteries
@@ -123,25 +89,30 @@ def kept_in(step: Step) -> Kept | None:
     needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
     gbp = _costs_gbp(step)
     if not len(possible) or gbp is None or held_kwh <= 0.01 * most_kwh or needed_kw <= 0.0:
-        return None
+        return ""
     names = [str(name) for name in step.site.customers.id[first]]
     the_many = f"the {len(names)} customers of tier {step.scenario.tiers[0]}"
-    last = int(possible[-1])
-    length = pd.Timedelta(minutes=step.scenario.grid.step_minutes)
-    now = step.scenario.grid.times[step.t]
-    return Kept(
-        share=held_kwh / most_kwh,
-        end=now + length,
-        likely_to=now + (last + 2) * length,
-        probability=float(ahead[last]),
-        gbp=gbp,
-        covers=" and ".join(names) if len(names) <= NAMED else the_many,
-        hours=held_kwh * float(b.eta_discharge.mean()) / needed_kw,
+    covers = " and ".join(names) if len(names) <= NAMED else the_many
+    hours = held_kwh * float(b.eta_discharge.mean()) / needed_kw
+    # The latest time, of those with a probability of ``POSSIBLE``, up to which there is an outage.
+    last, grid = int(possible[-1]), step.scenario.grid
+    end, until = (
+        f"{grid.local(grid.times[step.t] + steps * grid.step):%H:%M}" for steps in (1, last + 2)
+    )
+    may = "the outage may last to" if step.outage else "an outage is possible up to"
+    costs = in_pounds(gbp, ",.0f") if gbp >= LEAST_GBP else "nothing"
+    return (
+        f"{held_kwh / most_kwh:.0%} of the usable energy is kept until {end} because {may} {until} "
+        f"with {ahead[last]:.0%}; it costs {costs} in this step; it covers {covers} for "
+        f"{figure(hours)} h."
     )
 
 
 def _costs_gbp(step: Step) -> float | None:
-    """Saving of the step if nothing were kept, solved again without the value."""
+    """Saving of the step if nothing were kept: import, and supply at the value of lost load.
+
+    It is solved again without the value.
+    """
     window = step.levels.window.first(1)
     value = step.levels.window.stored_value
     assert value is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,19 +10,10 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import LimitError, ModelError
+from vppres.explain.costs import WORTH
 from vppres.explain.windows import Windows
-from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
-from vppres.solve.shadow_prices import (
-    FixedDecisions,
-    PricedTerms,
-    PricedWindow,
-    ShadowPriceModel,
-    price_window,
-)
-
-WORTH = 1e-6
-"""Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""
+from vppres.solve.shadow_prices import FixedDecisions, PricedTerms, PricedWindow, price_window
 
 WORTH_GBP = 1e-3
 """Smallest shadow price that counts, in GBP."""
@@ -75,31 +66,10 @@ class StepPrices:
         return sum(level.solver_s for level in (self.service, self.cost) if level is not None)
 
 
-def day_prices(
-    windows: Sequence[Windows], progress: Callable[[int, int], None] | None = None
-) -> list[StepPrices]:
-    """Shadow prices of every step of a run.
-
-    A problem is compiled for all steps that share a record, the lines that are out and the number
-    of steps that they see.
-    """
-    models: dict[tuple[int, Beyond, int], ShadowPriceModel] = {}
-    found = []
-    for t, one in enumerate(windows):
-        beyond = one.beyond_at(t)
-        n_steps = one.seen(t).n_steps
-        key = id(one), beyond, n_steps
-        if key not in models:
-            models[key] = ShadowPriceModel(one.site, n_steps, beyond)
-        found.append(step_prices(one, models[key], t))
-        if progress is not None:
-            progress(t + 1, len(windows))
-    return found
-
-
-def step_prices(windows: Windows, model: ShadowPriceModel, t: int) -> StepPrices:
+def step_prices(windows: Windows, t: int) -> StepPrices:
     """Shadow prices of one step."""
     window, recorded = windows.seen(t), windows.recorded
+    model = windows.model(t, window.n_steps)
     left_out = recorded.left_out(t)
     late = False
 

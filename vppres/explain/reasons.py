@@ -10,10 +10,11 @@ import numpy as np
 from vppres.core.text import named
 from vppres.day.options import RULES
 from vppres.day.recorder import OFF_BY_FAULT
+from vppres.explain.costs import WORTH
 from vppres.explain.kept import kept_for
-from vppres.explain.prices import WORTH
+from vppres.explain.reason import DRIVERS, Binding, Reason, Scarce
 from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phase
-from vppres.explain.step import DRIVERS, Binding, Reason, Scarce, Step
+from vppres.explain.step import Step
 from vppres.explain.words import (
     SCARCE,
     figure,
@@ -83,7 +84,7 @@ def why_not_served(step: Step, customer: int) -> Reason:
         return _from_the_record(step, customer)
     gain = float(step.service.service[customer])
     demand_kwh = float(step.load_kw[customer]) * step.site.dt_h
-    binding = step.scarce_for(customer)
+    binding = step.supply_cost.scarcest(customer)
     if step.recorded.rules and gain > WORTH:
         return Reason(
             "switching_rule",
@@ -150,7 +151,7 @@ def _which_for(step: Step, customer: int, binding: Scarce) -> int | None:
     """The line or the former's phase whose rating limits a customer; None if another limit does."""
     if binding == "phase":
         phase = overloaded_phase(step, customer)
-        return step.full_phase(customer) if phase is None else phase
+        return step.supply_cost.full_phase(customer) if phase is None else phase
     if binding != "rating":
         return None
     line = overloaded_line(step, customer)
@@ -192,9 +193,13 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
 
 def _rationed(step: Step, customer: int, binding: Scarce) -> Reason | None:
     """A customer whose energy is saved for a forecast outage; None if it is not."""
-    later = step.later_worth_gbp
-    now = step.worth_gbp_per_kwh(customer)
-    if later is None or now is None or binding != "energy" or later <= now:
+    later, value = step.later_worth_gbp, step.levels.window.stored_value
+    if later is None or value is None or binding != "energy":
+        return None
+    weight = float(step.site.customers.weight[customer])
+    per_kw = weight / max(float(step.load_kw[customer]), 1e-9)
+    now = value.gbp_per_service * per_kw * float(step.site.batteries.eta_discharge.mean())
+    if later <= now:
         return None
     return Reason(
         "energy",
@@ -246,8 +251,8 @@ def _from_the_record(step: Step, customer: int) -> Reason:
     low = step.recorded.done.v_pu[step.t] <= step.scenario.network.v_min_pu + 2e-3
     found: tuple[tuple[bool, Scarce], ...] = (
         (step.outage and len(empty) > 0 and bool(empty.all()), "energy"),
-        (step.outage and bool(step.at_power.any()), "power"),
-        (step.outage and bool(step.at_inverter.any()), "inverter"),
+        (step.outage and bool(step.spare.at_power.any()), "power"),
+        (step.outage and bool(step.spare.at_inverter.any()), "inverter"),
         (bool(low.any()), "voltage"),
     )
     late = step.levels.late
@@ -302,10 +307,10 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
             words = f"{words} beside {figure(kvar)} kvar"
         return Reason(limit, limit, _sentence(words, one_more(step, limit, battery)))
     worth = float(step.service.kept_energy[battery])
-    if limit == "energy" and not step.off_later:
+    if limit == "energy" and not _off_later(step):
         words = "Discharges: supplies customers with all that it may give"
         return Reason(limit, limit, _sentence(words, one_more(step, limit)))
-    if worth > WORTH and step.off_later:
+    if worth > WORTH and _off_later(step):
         return Reason(
             "energy",
             "energy",
@@ -316,6 +321,12 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
     if phase is not None:
         return Reason("phase", "phase", f"Discharges: relieves {phase_name(step, phase)}.")
     return Reason("supply", "", "Discharges: supplies customers; no limit binds.")
+
+
+def _off_later(step: Step) -> bool:
+    """Whether a customer goes without full supply in a later step of the window."""
+    later, done = slice(step.t + 1, step.t + step.levels.window.n_steps), step.recorded.done
+    return bool((done.supplied[later] * done.served[later] < 1.0).any())
 
 
 def _relieved_phase(step: Step, battery: int) -> int | None:
@@ -368,7 +379,7 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
 
 def _voltage_decides(step: Step, battery: int) -> bool:
     """Whether a voltage limit binds and makes the battery's move worth more at its own bus."""
-    prices = step.service if step.scarce == "voltage" else step.cost
+    prices = step.service if step.supply_cost.scarcest_of_all == "voltage" else step.cost
     if prices is None:
         return False
     bound = max(prices.voltage_floor.max(initial=0.0), prices.voltage_ceiling.max(initial=0.0))
@@ -385,7 +396,7 @@ def _voltage_decides(step: Step, battery: int) -> bool:
 
 def _relieved_line(step: Step, battery: int) -> int | None:
     """A line at its rating that the battery's move relieves; None if there is none."""
-    prices = step.service if step.scarce == "rating" else step.cost
+    prices = step.service if step.supply_cost.scarcest_of_all == "rating" else step.cost
     if prices is None:
         return None
     if prices.phases is None:
@@ -403,9 +414,9 @@ def _at_limit(step: Step, battery: int) -> Binding:
     """The limit that a battery reached in the step, empty if none."""
     b = step.site.batteries
     soc_end = float(step.soc_end[battery])
-    if step.at_power[battery]:
+    if step.spare.at_power[battery]:
         return "power"
-    if step.at_inverter[battery]:
+    if step.spare.at_inverter[battery]:
         return "inverter"
     edge = b.soc_max[battery] if step.battery_kw[battery] > 0 else b.soc_min[battery]
     return "energy" if abs(soc_end - edge) < 1e-3 else ""
@@ -448,7 +459,7 @@ def _no_more_stored(step: Step, bus: BusId) -> tuple[Binding, str]:
     if not there.any():
         return "power", "there is no battery to charge"
     full = step.soc_end >= step.site.batteries.soc_max - 1e-3
-    at_limit = full | step.at_power | step.at_inverter
+    at_limit = full | step.spare.at_power | step.spare.at_inverter
     if full[there].all():
         return "energy", "the batteries are full"
     if at_limit[there].all():

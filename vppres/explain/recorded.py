@@ -19,6 +19,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, units_of
+from vppres.model.parts import at_items
 from vppres.scenario.faults import parts_by_bus
 from vppres.scenario.network import BusId
 
@@ -94,15 +95,12 @@ class Recorded:
 
     def cut_off(self, t: int) -> Flags:
         """Customers that lines which are out or open cut off the grid's bus in a step, (C,)."""
-        index = self.scenario.network.bus_index
-        at = [index[each] for each in self.scenario.customers.bus]
-        return np.asarray(self._parts[t, at] != 0, dtype=bool)
+        return np.asarray(at_items(self._parts[[t]] != 0, self.site.customer_bus)[0])
 
     def beside(self, t: int, bus: BusId) -> Flags:
         """Batteries in the same part of the feeder as a bus in a step, (B,)."""
-        index = self.scenario.network.bus_index
-        at = [index[each] for each in self.scenario.batteries.bus]
-        return np.asarray(self._parts[t, at] == self._parts[t, index[bus]], dtype=bool)
+        inside = self._parts[[t]] == self._parts[t, self.scenario.network.bus_index[bus]]
+        return np.asarray(at_items(inside, self.site.battery_bus)[0])
 
     def soc_start(self, t: int) -> Floats:
         """States of charge at the beginning of a step, (B,)."""

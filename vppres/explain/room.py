@@ -9,10 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.explain.prices import WORTH
-from vppres.explain.step import Binding, Scarce, Step
+from vppres.explain.costs import WORTH
+from vppres.explain.reason import Binding, Scarce
+from vppres.explain.step import Step
 from vppres.model.data import PhasedWindow
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.scenario.formers import bus_of_former, largest_forming_battery
+from vppres.scenario.network import BusId
 
 
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
@@ -20,11 +23,11 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
 
     ``binding`` is what is scarce for a share of the customer, who is off in the step.
     """
-    priced = {name for name, cost in step.supply_cost.items() if cost[customer] > WORTH}
+    priced = {name for name, cost in step.supply_cost.by_limit.items() if cost[customer] > WORTH}
     needed_kw = _needed_kw(step, customer)
-    if step.spare_kw < needed_kw:
+    if step.spare.power_kw < needed_kw:
         priced.add("power")
-    if len(step.site.batteries) and step.spare_kwh < needed_kw * step.site.dt_h:
+    if len(step.site.batteries) and step.spare.energy_kwh < needed_kw * step.site.dt_h:
         priced.add("energy")
     if overloaded_line(step, customer) is not None:
         priced.add("rating")
@@ -109,11 +112,21 @@ def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
     It comes from the grid, and in an island from the set or the largest battery that forms it.
     """
     site = step.site
-    source = site.network.bus_index[step.source_bus]
+    source = site.network.bus_index[_source_bus(step)]
     place = site.customer_bus[:, [customer]].toarray().ravel()
     place[source] -= 1.0
     demand = _demand(step, customer)
     return tuple(lossless_flows(site.network, -place[None, :] * size)[0] for size in demand)
+
+
+def _source_bus(step: Step) -> BusId:
+    """The bus from which power comes: the grid's, or that of what forms the island."""
+    site, forms = step.site, step.recorded.trajectory.forms(step.t)
+    former = largest_forming_battery(site) if step.outage else None
+    bus = bus_of_former(site, forms)
+    if bus is not None:
+        return bus
+    return site.network.slack_bus if former is None else site.batteries.bus[former]
 
 
 def _under_voltage(step: Step, customer: int) -> bool:

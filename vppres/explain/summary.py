@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from vppres.day.trajectory import SWITCHED, SWITCHING_AHEAD, SWITCHING_WHY
+from vppres.explain.costs import WORTH
 from vppres.explain.kept import why_kept
-from vppres.explain.prices import WORTH
-from vppres.explain.step import Driver, Reason, Step
+from vppres.explain.reason import Driver, Reason
+from vppres.explain.step import Step
 from vppres.explain.words import figure, money, one_more, scarce_name, service_words
 
 
@@ -38,7 +39,7 @@ def _main_reason(step: Step) -> Reason:
         return Reason("dark", "", f"{_headline(step)} The island is blacked out: {step.dark}.")
     if step.fallback:
         return Reason("fallback", "", f"{_headline(step)} Decided by a fallback ({step.fallback}).")
-    scarce = step.scarce
+    scarce = step.supply_cost.scarcest_of_all
     if scarce and not step.served.all():
         offer = one_more(step, scarce)
         return Reason(

@@ -14,6 +14,7 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.core.arrays import Floats
 from vppres.day.forecasting import PAPER, named_forecasts
 from vppres.day.observer import Observer
+from vppres.day.options import PERFECT
 from vppres.day.outages import believed_outages
 from vppres.day.trajectory import Trajectory
 from vppres.explain.phased import PhasedStep
@@ -30,14 +31,13 @@ from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.shadow_prices import FixedDecisions
+from vppres.solve.shadow_prices import FixedDecisions, ShadowPriceModel
 
 NEARLY_ALL = 1.0 - 1e-4
 """Largest share of a customer that was not served. In full, the limits of its PV system's export
 and curtailment may bind together with that of its service, and share the price between them."""
 
 FULL_HORIZON = "full-horizon"
-PERFECT = "perfect"
 
 BY_PARTS = (FormerPhases, LinesOut)
 """Additions that are compiled for the parts of a window."""
@@ -49,6 +49,14 @@ class Windows:
     def __init__(self, run: Trajectory, weight: Floats | None = None) -> None:
         self.recorded = Recorded(run, weight)
         self.site = self.recorded.site
+        self._models: dict[tuple[Beyond, int], ShadowPriceModel] = {}
+
+    def model(self, t: int, n_steps: int) -> ShadowPriceModel:
+        """Pricing problem of a step, compiled once for equal lines that are out."""
+        key = self.beyond_at(t), n_steps
+        if key not in self._models:
+            self._models[key] = ShadowPriceModel(self.site, n_steps, key[0])
+        return self._models[key]
 
     @cached_property
     def _owed(self) -> list[Owed]:

@@ -9,8 +9,10 @@ import numpy as np
 from vppres.core.arrays import Floats, Names
 from vppres.core.text import in_pounds
 from vppres.core.units import h_to_minutes
-from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
-from vppres.explain.step import Binding, Step
+from vppres.explain.costs import WORTH
+from vppres.explain.prices import WHOLE, WORTH_GBP
+from vppres.explain.reason import Binding, Scarce
+from vppres.explain.step import Step
 from vppres.kinds.table import KINDS
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
@@ -26,17 +28,6 @@ SCARCE: dict[Binding, str] = {
     "": "nothing",
 }
 
-TOO_LITTLE: dict[Binding, str] = {
-    "energy": "not enough stored energy to supply it in full",
-    "power": "not enough battery power to supply it in full",
-    "inverter": "not enough inverter rating to supply it in full",
-    "rating": "the rating of a line does not allow its full demand",
-    "phase": "a phase of the grid-forming battery would be overloaded",
-    "voltage": "the voltage limit does not allow its full demand",
-    "grid": "the grid limit does not allow its full demand",
-    "": "nothing binds",
-}
-
 
 def scarce_name(step: Step, binding: Binding) -> str:
     """Name of what is scarce; the source of power in an island that has no batteries."""
@@ -48,11 +39,13 @@ def scarce_name(step: Step, binding: Binding) -> str:
     return f"power from {' and '.join(name for name, each in units if len(each)) or 'batteries'}"
 
 
-def too_little(step: Step, binding: Binding) -> str:
+def too_little(step: Step, binding: Scarce) -> str:
     """Phrase for too little of what is scarce."""
-    if scarce_name(step, binding) == SCARCE[binding]:
-        return TOO_LITTLE[binding]
-    return f"not enough {scarce_name(step, binding)} to supply it in full"
+    if binding in ("energy", "power", "inverter"):
+        return f"not enough {scarce_name(step, binding)} to supply it in full"
+    if binding == "phase":
+        return "a phase of the grid-forming battery would be overloaded"
+    return f"{SCARCE[binding]} does not allow its full demand"
 
 
 def figure(value: float) -> str:
@@ -99,7 +92,7 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     full = int(np.argmax(rated)) if which is None and len(rated) else which or 0
     offers: list[tuple[float, str]] = []
     if binding == "energy":
-        offers = [(_largest(p.stored_energy), "one more stored kWh")]
+        offers = [(float(p.stored_energy.max(initial=0.0)), "one more stored kWh")]
     elif binding == "power":
         offers = [
             _dearest("one more kW of battery", batteries, p.battery_discharging, which),
@@ -200,10 +193,6 @@ def stored_worth_gbp(step: Step, battery: int) -> float | None:
         return None
     value = float(step.cost.kept_energy[battery])
     return value if value > WORTH_GBP else None
-
-
-def _largest(values: Floats) -> float:
-    return float(values.max()) if len(values) else 0.0
 
 
 def _dearest(

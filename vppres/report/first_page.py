@@ -16,7 +16,7 @@ from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import reliability_by_tier
 from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
 from vppres.day.trajectory import Trajectory, supplied
-from vppres.explain.step import DRIVERS
+from vppres.explain.reason import DRIVERS
 from vppres.kinds.table import KINDS, parts
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU

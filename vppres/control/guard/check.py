@@ -107,7 +107,7 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
 def _service(step: Dispatch, state: StepState) -> str:
     c = state.site.customers
     share = np.asarray(step.supplied[0], dtype=float)
-    partly = np.maximum(c.least_share_but(state.whole) - share, share - c.most_share)
+    partly = np.maximum(c.least_share_but(state.now.whole) - share, share - c.most_share)
     partly = np.minimum(np.abs(share), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
@@ -123,7 +123,7 @@ def _battery_power(step: Dispatch, state: StepState, within: Tolerances) -> str:
 
 def _kinds(step: Dispatch, state: StepState, within: Tolerances) -> str:
     """Violation of a kind's limits of power or storage; empty if there is none."""
-    for kind, known in state.ahead.by_kind.items():
+    for kind, known in state.now.ahead.by_kind.items():
         units = state.site.kinds[kind]
         taken_kw, running = step.taken_by(kind, units), step.running_of(kind, units)
         on = units.connected(state.site.customers, step.supplied > 0.0)
@@ -139,8 +139,8 @@ def _kinds(step: Dispatch, state: StepState, within: Tolerances) -> str:
 
 def _switched_early(step: Dispatch, state: StepState) -> str:
     """Units that start before they may, or run where they must not."""
-    islands = state.parts.beyond | state.island
-    for kind, known in state.ahead.by_kind.items():
+    islands = state.now.parts.beyond | state.island
+    for kind, known in state.now.ahead.by_kind.items():
         units = state.site.kinds[kind]
         outage = at_items(islands, state.site.unit_bus[kind])
         wrong = known.switched_early(step.running_of(kind, units), outage)[0]
@@ -155,7 +155,7 @@ def _unformed_supply(step: Dispatch, state: StepState) -> str:
         return ""
     for kind in state.formers:
         units = state.site.kinds[kind]
-        able = state.ahead.by_kind[kind].able_to_form()
+        able = state.now.ahead.by_kind[kind].able_to_form()
         if (step.running_of(kind, units)[0] & able).any():
             return ""
     return "island: no set forms the grid"
@@ -178,7 +178,7 @@ def _pv(step: Dispatch, state: StepState, within: Tolerances) -> str:
 
 def _dead_parts(step: Dispatch, state: StepState) -> str:
     """Customers on in parts of the feeder that nothing forms."""
-    off = at_items(state.parts.dead, state.site.customer_bus)[0]
+    off = at_items(state.now.parts.dead, state.site.customer_bus)[0]
     wrong = off & (step.supplied[0] > 0.0)
     if not wrong.any():
         return ""

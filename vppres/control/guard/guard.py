@@ -114,7 +114,7 @@ class GuardedController:
         now = WindowData.of(seen, site, centre).first(1)
         dark = dark_steps(site, now)
         formed, _ = now.formed(site, dark, headroom=0.0)
-        return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
+        return replace(state, now=replace(state.now, ahead=formed.ahead), dark=bool(dark[0]))
 
     def _checked_decision(self, known: Observation, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
@@ -222,7 +222,7 @@ class GuardedController:
         wanted = plan.charge_kw[row] - plan.discharge_kw[row]
 
         def as_planned_in(part: StepState) -> Carried | None:
-            dimmed = replace(part, load_kw=part.load_kw * share)
+            dimmed = replace(part, now=replace(part.now, load_kw=part.now.load_kw * share))
             on = served & part.items(self.site.customer_bus)
             found = carry(dimmed, on, wanted * part.items(self.site.battery_bus))
             phased = part.island and bool(self.site.phases)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.day.trajectory import WHOLE_SHARE
+from vppres.explain.reason import Reason
 from vppres.explain.reasons import (
     FIRST,
     overruled,
@@ -15,7 +16,7 @@ from vppres.explain.reasons import (
     someone_ranks_higher,
     why_not_served,
 )
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Step
 from vppres.explain.words import figure, one_more
 
 ACTIONS = {
@@ -74,7 +75,7 @@ def _why_dimmed(step: Step, customer: int) -> Reason:
     if said is not None:
         return said
     hours = float(step.site.customers.recovery_h[customer])
-    binding = "" if step.service is None else step.scarce_for(customer)
+    binding = "" if step.service is None else step.supply_cost.scarcest(customer)
     if not binding and hours > 0.0:
         later = f"what it lacks is caught up within {hours:g} h, and then counts as supplied"
         return Reason("recovery", "", f"{what}: {later}.")

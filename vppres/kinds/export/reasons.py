@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from vppres.explain.step import Reason, Step
+from vppres.explain.reason import Reason
+from vppres.explain.step import Step
 from vppres.explain.words import figure, money
 from vppres.kinds.kind import MOVE_KW
 

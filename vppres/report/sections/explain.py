@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from vppres.day.trajectory import Trajectory
-from vppres.explain.step import DRIVERS
+from vppres.explain.reason import DRIVERS
 from vppres.explain.words import figure, money
 from vppres.kinds.customer import reasons as customer
 from vppres.kinds.table import parts

@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.day.priority import ranks_of
 from vppres.day.trajectory import Trajectory
-from vppres.explain.step import DRIVERS
+from vppres.explain.reason import DRIVERS
 from vppres.explain.words import hours, money
 from vppres.report.clock import Clock
 from vppres.scenario.priority import Ranks

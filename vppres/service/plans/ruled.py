@@ -9,7 +9,9 @@ import numpy as np
 
 from vppres.control.by_part import rule_by_part
 from vppres.control.step_state import StepState
+from vppres.kinds.customer.physics import Owed
 from vppres.kinds.table import parts
+from vppres.model.data import WindowData
 from vppres.model.linearise import delta_offset
 from vppres.model.parts import parts_of
 from vppres.model.site import Site
@@ -36,19 +38,20 @@ def ruled(
     held = np.array([soc.get(str(name), np.nan) for name in b.id], dtype=float)
     connected = np.array([str(name) not in lost for name in site.customers.id], dtype=bool)
     held_soc = np.where(np.isfinite(held), np.clip(held, b.soc_min, b.soc_max), b.soc_min)
-    state = StepState(
-        site,
-        now.load_kw[0] * connected,
-        now.pv_kw[0],
-        float(now.grid_limit_kw[0]),
+    known = WindowData(
+        now.load_kw[:1] * connected,
+        now.pv_kw[:1],
+        now.price_gbp_per_kwh[:1],
+        now.grid_limit_kw[:1],
         held_soc,
         b.eta_charge,
         b.eta_discharge,
-        delta_offset(site.network, None),
-        np.isfinite(held),
+        delta_offset(site.network, None)[np.newaxis],
         parts=parts_of(site, now.out_of_service(range(1)), held_soc, now.outage, needs_former),
-        due=np.zeros(len(site.customers), dtype=bool),  # how long each has been off is not known
+        owed=Owed.of(site.customers, site.dt_h),
     )
+    nobody = np.zeros(len(site.customers), dtype=bool)  # how long each has been off is not known
+    state = StepState(site, known, np.isfinite(held), due=nobody)
     for kind, table in before.items():
         if "running" in table:
             on, given_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
