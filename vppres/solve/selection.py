@@ -79,7 +79,7 @@ class Family:
 class Sheet:
     """The statement of a site and number of steps, compiled as far as it is asked for.
 
-    It is that of the page as it is; ``page`` are its functions, by which sheets are told apart.
+    It is that of the page as it is, of which ``page`` has the functions: others are another sheet.
 
     Attributes
     ----------

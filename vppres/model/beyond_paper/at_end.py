@@ -1,4 +1,4 @@
-"""Charge of batteries at the end of a window: a target, or a value of what remains.
+"""Energy of batteries at the end, in a window's problem: a target, or a value of what is left.
 
 Energy that is missing to a target has a variable and a price, and is part of the cost: so it
 decides among dispatches of equal service, and no service is given up for it.
