@@ -143,7 +143,7 @@ def switches_on(net: Any, table: str) -> pd.DataFrame:
 
 
 def open_on(net: Any, table: str) -> pd.DataFrame:
-    """Those of :func:`switches_on` that are open."""
+    """Open switches that stand on the branches of a table, their ``element``."""
     on = switches_on(net, table)
     return on[~on["closed"].astype(bool)]
 
