@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from functools import cached_property
 from typing import Any
 
@@ -63,11 +62,6 @@ class Recorded:
         rows = self.trajectory.rows(table, t)
         return rows[column].to_numpy() if column in rows else np.full(len(rows), nothing)
 
-    @cached_property
-    def _steps(self) -> list[dict[Hashable, Any]]:
-        """Rows of the steps table."""
-        return self.trajectory.steps.to_dict("records")
-
     @property
     def rules(self) -> bool:
         """Whether switching rules restrained who is served."""
@@ -75,8 +69,9 @@ class Recorded:
 
     def note(self, t: int, column: str) -> str:
         """A column of text of the steps table, empty where there is none."""
-        value = self._steps[t].get(column)
-        return "" if value is None or pd.isna(value) else str(value)
+        steps = self.trajectory.steps
+        value = steps[column].iloc[t] if column in steps else None
+        return "" if pd.isna(value) else str(value)
 
     def flag(self, t: int, column: str) -> bool:
         """A column of yes and no of the steps table, no where there is none."""
