@@ -221,6 +221,28 @@ def test_a_grid_that_may_not_be_drawn_from_is_no_news_with_each_reading(live: Ru
     assert runner.changes.reasons == ()
 
 
+@pytest.mark.parametrize("gateway", ["silent", "says null"])
+def test_a_lost_grid_is_not_back_because_nothing_is_heard_of_it(
+    live: Running, gateway: str
+) -> None:
+    """However long that lasts; a reading, or a measured import, brings it back."""
+    http, clock, runner = live
+    http.post("/v1/telemetry", grid(0.0))
+    assert runner.anew() is not None
+    for hours in (2, 5, 30):
+        time = NOON + pd.Timedelta(hours=hours)
+        if gateway == "says null":
+            series = readings(time, "grid_on", {"grid": None})
+            clock.set(time)
+            http.post("/v1/telemetry", {"series": series})
+        plan = decided(http, clock, time)
+        assert plan["grid"] == {"available": False, "known_by": "last reading"}
+    clock.set(time + pd.Timedelta("5min"))
+    http.post("/v1/telemetry", grid(1.0, clock.now()))
+    plan = runner.anew()
+    assert plan is not None and plan["grid"]["available"]
+
+
 def test_a_battery_that_is_not_connected_stays_out_and_raises_an_alarm(live: Running) -> None:
     """It said so once, and how full it is since; only that it is back counts."""
     http, clock, runner = live

@@ -336,3 +336,31 @@ def test_a_set_that_is_refuelled_is_planned_for_at_once(tiny: Scenario, tmp_path
         assert plan["expected"]["gensets"]["g0"]["fuel_litres"] == 200.0
         assert said(plan, "gensets")["g0"]["p_kw"] > before["p_kw"]
         assert gauge(21.0, 199.5) == ()
+
+
+def test_a_set_that_stands_still_is_out_after_a_step_however_often_it_is_decided_anew(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """And one that was started by hand since is planned with at once."""
+    day, clock = with_set(site(tiny)), SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+
+        def runs(minutes: float, running: float) -> tuple[str, ...]:
+            clock.set(NOON + pd.Timedelta(minutes=minutes))
+            series = readings(clock.now(), "running", {"g0": running}, lasts="PT1M")
+            assert http.post("/v1/telemetry", {"series": series}).status == 200
+            return runner.changes.reasons
+
+        http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
+        assert said(decided(http, clock, NOON), "gensets")["g0"]["running"]
+        assert runs(2.0, 0.0) == ("g0 running = 0 (scada)",)
+        plan = runner.anew()
+        assert plan is not None and said(plan, "gensets")["g0"]["running"]
+        runs(60.0, 0.0)
+        plan = decided(http, clock, NOON + pd.Timedelta("1h"))
+        assert "genset g0 is out (told to run, stands still)" in plan["estimated"]
+        assert runs(69.0, 0.0) == ()
+        assert runs(70.0, 1.0) == ("g0 running = 1 (scada)",)
+        plan = runner.anew()
+        assert plan is not None and said(plan, "gensets")["g0"]["running"]
+        assert runs(71.0, 1.0) == ()

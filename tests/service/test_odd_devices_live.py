@@ -21,6 +21,7 @@ from tests.support.live_service import (
     client,
     decided,
     readings,
+    said,
     serving,
     site,
     with_units,
@@ -31,7 +32,7 @@ from tests.support.small_windows import DARK
 from tests.support.vans import van
 from vppres import Controller, Measurement, RunOptions
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import SetClock
+from vppres.service.clock import SetClock, written
 from vppres.service.operation.site import Service
 from vppres.service.plans.world import Series, World
 from vppres.service.replay.explanations import explained, question
@@ -85,7 +86,7 @@ def test_what_is_odd_is_named_and_nobody_is_off_for_it(
         logged = [record.getMessage() for record in caplog.records]
         named = [
             "indoor_c h0",
-            "vehicle van left k0 before",
+            "vehicle van is not at k0",
             "genset g0 is out",
             "g0 did not follow",
         ]
@@ -122,7 +123,32 @@ def test_a_van_that_left_is_away_until_it_is_plugged_in_again(
             assert ("k0" in plan["expected"]["vehicles"]) == is_there
             late = [one["quantity"] for one in plan["late"] if one["asset"] == "k0"]
             assert is_there or "ev_soc" not in late
-            assert ("vehicle van left k0 before its departure" in plan["estimated"]) != is_there
+            assert ("vehicle van is not at k0" in plan["estimated"]) != is_there
+
+
+@pytest.mark.parametrize(("announced", "minutes"), [(True, 55), (True, 10), (False, 55)])
+def test_a_vehicle_that_comes_before_its_announced_time_is_charged_at_once(
+    tiny: Scenario, tmp_path: Path, announced: bool, minutes: int
+) -> None:
+    """From then until its departure; of one that was not announced nothing is known yet."""
+    charger, vehicle = van(NOON + HOUR, NOON + 8 * HOUR)
+    vehicle = replace(vehicle, announced=np.array([announced]))
+    day, clock = replace(site(tiny), chargers=charger, sessions=vehicle), SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+        assert decided(http, clock, NOON)["expected"]["vehicles"] == {}
+        clock.set(NOON + HOUR - pd.Timedelta(minutes=minutes))
+        series = readings(clock.now(), "plugged", {"k0": 1.0})
+        series += readings(clock.now(), "ev_soc", {"k0": 0.4})
+        http.post("/v1/telemetry", {"series": series})
+        plan = runner.anew()
+        assert plan is not None
+        if announced:
+            seen = plan["expected"]["vehicles"]["k0"]
+            leaves = written(NOON + 8 * HOUR)
+            assert (seen["vehicle"], seen["energy_kwh"], seen["leaves"]) == ("van", 24.0, leaves)
+            assert said(plan, "chargers")["k0"]["p_limit_kw"] > 0.0
+        else:
+            assert "vehicle at k0 is here and what it needs is not known" in plan["estimated"]
 
 
 @pytest.mark.parametrize(("quantity", "at_first", "slow", "far", "kwh"), [
