@@ -81,7 +81,7 @@ def test_what_is_odd_is_named_and_nobody_is_off_for_it(
         logged = [record.getMessage() for record in caplog.records]
         named = [
             "indoor_c h0",
-            "vehicle van left k0 before",
+            "vehicle van is not at k0",
             "genset g0 is out",
             "g0 did not follow",
         ]

@@ -252,7 +252,7 @@ def _vehicles() -> Example:
                 "vehicle car0 at k0 needs 90 kWh, and holds 60 kWh",
             ),
             ({"ev_soc": {"k0": 0.4}}, ""),
-            ({"plugged": {"k0": 0.0}}, "vehicle car0 left k0 before its departure"),
+            ({"plugged": {"k0": 0.0}}, "vehicle car0 is not at k0"),
         ],
         default={"p_kw": 7.4, "p_limit_kw": 7.4},
         by_rule={"p_kw": 0.0, "p_limit_kw": 0.0},

@@ -59,10 +59,10 @@ def equipped() -> Scenario:
     return replace(day, customers=dimmable, chargers=charger, sessions=vehicle)
 
 
-def charger(leaves: str = "12:00") -> Scenario:
+def charger(leaves: str = "12:00", comes: str = "00:00") -> Scenario:
     """With a charger, at which a van is from midnight on; by default it has left before noon."""
     midnight = NOON.normalize()
-    there, vehicle = van(midnight, midnight + pd.Timedelta(f"{leaves}:00"))
+    there, vehicle = van(*(midnight + pd.Timedelta(f"{time}:00") for time in (comes, leaves)))
     return replace(tiny(), chargers=there, sessions=vehicle)
 
 
@@ -109,6 +109,7 @@ SITES: Mapping[str, Callable[[], Scenario]] = MappingProxyType(
         "equipped": equipped,
         "charger": charger,
         "van": lambda: charger("24:00"),
+        "van at one": lambda: charger("20:00", "13:00"),
         "dimming shop": dimming_shop,
         "quiet": quiet,
         "no pv": no_pv,

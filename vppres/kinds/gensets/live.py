@@ -78,6 +78,15 @@ class Ran:
     #: How they were to run.
     on: Flags
     power_kw: Floats
+    #: When each was told to start that has not run since; NaN of others. None in older states.
+    asked_h: Floats | None = None
+
+    @property
+    def waits_since_h(self) -> Floats:
+        """When each was told to start that has not run since; NaN of others, (G,)."""
+        if self.asked_h is None:
+            return np.where(self.on & ~self.before.on, self.at_h, np.nan)
+        return self.asked_h
 
     @classmethod
     def before_the_day(cls, sets: Gensets, at_h: float) -> Ran:
@@ -183,6 +192,7 @@ class SetsNow(UnitsNow):
             read_litres=fuel.read_litres,
             out=runs.out,
             fault=np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
+            asked_h=np.where(runs.started, np.nan, past.waits_since_h),
         )
         words = (*fuel.words(sets.id), *runs.words(sets.id))
         metered_kw = np.where(unread, was_told_kw, told.power_kw)
@@ -214,7 +224,10 @@ class SetsNow(UnitsNow):
 
     def after(self, day: Scenario, state: GensetState, columns: Mapping[str, Any]) -> Ran:
         """The sets with their set-points from now on."""
-        return replace(self.known, on=columns["running"], power_kw=columns["p_kw"])
+        known, on = self.known, columns["running"]
+        begins = on & ~self.state.on & np.isnan(known.waits_since_h)
+        asked_h = np.where(begins, known.at_h, np.where(on, known.waits_since_h, np.nan))
+        return replace(known, on=on, power_kw=columns["p_kw"], asked_h=asked_h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,9 +235,11 @@ class _Running:
     """Which sets run and for how long, (G,) each; who was to start and never did, and who is out.
 
     ``failed`` stood still for a whole step in which they were to run, ``faulty`` tell a fault.
+    ``started`` were read to run, or took the time of a step for which nothing was read.
     """
 
     on: Flags
+    started: Flags
     hours: Floats
     never: Flags
     out: Flags
@@ -241,14 +256,17 @@ class _Running:
         gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
         faulty = told.start_fault > 0.5
         on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing & ~faulty)
-        never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
-        failed = never & ~by_others & (gone_h >= dt_h - ROUNDING_H)
+        never = np.isfinite(past.waits_since_h) & ~on & held & ~(told.power_kw > 0.0)
+        # A decision within the step does not begin the wait anew.
+        waited = past.at_h + gone_h - past.waits_since_h >= dt_h - ROUNDING_H
+        failed = never & ~by_others & waited
+        started = on & (read | (told.power_kw > 0.0) | waited)
         hours = _hours(past, on, gone_h, dt_h)
         # When another sender switched is not known.
         hours = np.where(by_others & ((was != on) | (past.on != on)), 0.0, hours)
         kept = past.out & ~((told.start_fault <= 0.5) & (past.fault != 0.0))
         out = (failed | faulty | kept) & ~on
-        return cls(on, hours, never, out, failed, faulty)
+        return cls(on, started, hours, never, out, failed, faulty)
 
     def words(self, ids: Names) -> list[str]:
         """Sets that are out, and why."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -25,7 +26,7 @@ class Sets(OfKind):
 
     kind = "gensets"
     source = "gensets"
-    states: ClassVar[Mapping[str, float]] = {"start_fault": 0.0}
+    states: ClassVar[Mapping[str, float]] = {"start_fault": 0.0, "running": math.nan}
 
     def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of sets, and the orders of other senders than the controller.
@@ -48,7 +49,15 @@ class Sets(OfKind):
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
     ) -> float:
-        """A start that was rejected since the last reading is a fault."""
+        """A start that was rejected since the last reading is a fault.
+
+        A set that does what it was told is no news.
+        """
+        if one.quantity == "running" and before:
+            points = plan.get("setpoints", ())
+            told = {at["asset"]: at["running"] for at in points if at["kind"] == self.kind}
+            obeys = told.get(one.asset) == (one.value == 1.0)
+            return one.value if obeys else super().stood(plan, one, before, rejected)
         at = rejected.get(one.asset)
         if at and not (before and before.time > at):
             return 1.0

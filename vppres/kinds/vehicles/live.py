@@ -193,7 +193,7 @@ def read(
         own[stay.charger] = [*_sessions_beside(own[stay.charger], row, door.begun), row]
     for k, (name, rows) in enumerate(own.items()):
         seen = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
-        before = _at_charger(rows, seen.here, door.begun, scenario.grid.step)
+        before = _at_charger(rows, seen.here, door.begun)
         now, words = _as_read(seen, before, name, scenario, door.begun)
         door.left_out.extend(words)
         own[name] = [row for row in rows if row is not before]
@@ -236,7 +236,7 @@ def _as_read(
     """The session of a charger as it is read, and what is odd about it."""
     end = begun + scenario.grid.step
     if read.plugged == 0.0:
-        left = f"vehicle {before['vehicle']} left {charger} before its departure" if before else ""
+        left = f"vehicle {before['vehicle']} is not at {charger}" if before else ""
         return None, [left] if left else []
     if before is None and not np.isfinite(read.needed_kwh):
         unknown = f"vehicle at {charger} is here and what it needs is not known"
@@ -253,7 +253,7 @@ def _as_read(
     leaves = max(leaves or begun, begun)
     if not np.isfinite(read.needed_kwh):
         assert before is not None
-        return {**before, "plug_out": leaves}, words
+        return {**before, "plug_in": min(before["plug_in"], begun), "plug_out": leaves}, words
     row = _session_from_need(scenario, charger, before, read.needed_kwh)
     most_kwh = (before or row)["capacity_kwh"]
     if read.needed_kwh > most_kwh:
@@ -262,17 +262,19 @@ def _as_read(
     return {**row, "plug_in": begun, "plug_out": leaves}, words
 
 
-def _at_charger(
-    rows: Sequence[Row], here: bool, begun: pd.Timestamp, step: pd.Timedelta
-) -> Row | None:
+def _at_charger(rows: Sequence[Row], here: bool, begun: pd.Timestamp) -> Row | None:
     """The session of a charger now, of its own.
 
-    Where a vehicle is here that is the one that was over last, unless another begins in this step.
+    Where a vehicle is here beside its time, that is the one that is late or early by less: of those
+    that are announced, or were over last.
     """
     now = [row for row in rows if row["plug_in"] <= begun < row["plug_out"]]
-    if not now and here and not any(begun < row["plug_in"] < begun + step for row in rows):
-        now = [row for row in rows if row["plug_out"] <= begun]
-    return max(now, key=lambda row: row["plug_out"], default=None)
+    if now or not here:
+        return max(now, key=lambda row: row["plug_out"], default=None)
+    past = ((begun - row["plug_out"], row) for row in rows if row["plug_out"] <= begun)
+    coming = ((row["plug_in"] - begun, row) for row in rows if row["plug_in"] > begun)
+    beside = [*past, *(one for one in coming if one[1]["announced"])]
+    return min(beside, key=lambda one: one[0], default=(None, None))[1]
 
 
 def _sessions_beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:

@@ -45,7 +45,7 @@ from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.storage.followed import REFUSED
 from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
 from vppres.service.storage.store import Store
-from vppres.service.telemetry.grid_readings import LIMIT, contradiction, stands_alone
+from vppres.service.telemetry.grid_readings import GRID_ON, LIMIT, contradiction, stands_alone
 from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers, undimmed_customers
 from vppres.service.telemetry.phased_readings import stored, with_sums, wrong_phase
 from vppres.service.telemetry.refused import Refusal
@@ -72,6 +72,9 @@ CLOSED = "closed"
 MOVING = ("soc", "grid_on")
 """Readings that are late by their own period, however long a step is."""
 
+LASTING = (ONLINE, GRID_ON)
+"""States that last until another one is read."""
+
 MOST_STEPS = 24
 """Steps over which means are taken where nothing was decided for long."""
 
@@ -96,8 +99,9 @@ class Latest:
         """Readings of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         until = time + pd.Timedelta(seconds=EARLY_SHARE * step_s)
-        found = [one for one in store.latest(until, INSTANT) if one.quantity != ONLINE]
-        found += store.latest(until, [ONLINE], known=True)  # silence brings no device back
+        # Silence brings neither a device nor the grid back.
+        found = [one for one in store.latest(until, INSTANT) if one.quantity not in LASTING]
+        found += store.latest(until, LASTING, known=True)
         for kind in every().values():
             found = kind.of_those_here(found)
         return cls(found, seconds(time), step_s)
@@ -138,8 +142,8 @@ class Latest:
 
     @property
     def grid(self) -> Reading | None:
-        """The last reading of whether there is grid, unless it is lost; None without one."""
-        return next((one for one in self._of("grid_on") if self.state(one) != "lost"), None)
+        """The last reading of whether there is grid, however old it is; None without one."""
+        return next(iter(self._of("grid_on")), None)
 
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset; NaN where it is too old, or known to be missing."""
