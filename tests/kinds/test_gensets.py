@@ -27,7 +27,7 @@ from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.gensets import Gensets, Refuels
 from vppres.kinds.gensets.physics import Engines, headroom_kw, moved_too_fast_kw
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.data import WindowData
@@ -173,7 +173,7 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     runs, given_kw = np.array(on), np.array(power_kw)
     outage = np.repeat(day.outage[:, None], len(sets), axis=1)
     assert runs.any() and not seen.wrongly_switched(runs, outage).any()
-    plan = Planned(-given_kw, runs, runs)
+    plan = UnitPlan(-given_kw, runs, runs)
     assert moved_too_fast_kw(seen, plan).max() < 1e-6
     left = seen.fuel_litres(plan)
     assert np.abs(left - np.array(fuel_litres)).max() < 1e-9

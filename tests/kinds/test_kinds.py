@@ -20,7 +20,7 @@ from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.io.python_door import check_scenario
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.table import KINDS, parts
 from vppres.model.site import Site
 from vppres.plant.plant import Plant
@@ -93,7 +93,7 @@ def test_the_plant_does_nothing_that_a_plan_may_not(it: Example, number: int) ->
     taken, runs = np.array(taken_kw), np.array(running)
     connected = units.connected(day.customers, served)
     assert not taken[~connected].any()
-    plan = Planned(taken, runs, connected)
+    plan = UnitPlan(taken, runs, connected)
     assert ahead.power_beyond_kw(plan).max() < 1e-6
     assert ahead.stored_beyond_kw(plan).max() < 1e-6
     reckoned = it.stored(ahead, day, taken, runs)

@@ -26,7 +26,7 @@ from tests.support.vans import chargers, plugged_in
 from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day
 from vppres.contract.ahead import KindsAhead
 from vppres.day.assembly import make_controller
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.vehicles.physics import Garage, PastDays, Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -452,7 +452,7 @@ def test_none_that_may_not_come_gives_anything_back(method: str, grid: float) ->
     assert powers[1].min() == 0.0
     ahead = expected.ahead.known("chargers")
     on = np.ones((8, 1), dtype=bool)
-    beyond_kw = ahead.power_beyond_kw(Planned(powers[0][:, None], on, on))
+    beyond_kw = ahead.power_beyond_kw(UnitPlan(powers[0][:, None], on, on))
     assert beyond_kw.max() == pytest.approx(-powers[0].min())  # which is refused
 
 

@@ -17,7 +17,7 @@ from vppres import RunOptions
 from vppres.core.arrays import Floats
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.gensets import Refuels
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.vehicles.physics import Plugged
 from vppres.scenario.scenario import Scenario
 
@@ -152,7 +152,7 @@ def _gensets() -> Example:
             day, gensets=random_sets(np.random.default_rng([seed, 43]), day)
         ),
         stored=lambda sets, day, taken_kw, running: sets.fuel_litres(
-            Planned(taken_kw, running, running)
+            UnitPlan(taken_kw, running, running)
         ),
         state=lambda state: state.fuel_litres,
         limit=(replace(dark, gensets=endless), replace(dark, batteries=stored)),

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.kinds.kind import Followers, Kind, Moment, Planned, UnitsAhead, UnitsNow, Why
+from vppres.kinds.kind import Followers, Kind, Moment, UnitPlan, UnitsAhead, UnitsNow, Why
 
 
 class DataPart(Protocol):
@@ -99,7 +99,7 @@ class LivePart(Protocol):
         """Columns of the set-points of a step, (n,) each, from its record."""
 
     def foreseen(
-        self, window: Any, ahead: UnitsAhead, plan: Planned, times: pd.DatetimeIndex
+        self, window: Any, ahead: UnitsAhead, plan: UnitPlan, times: pd.DatetimeIndex
     ) -> dict[str, pd.DataFrame]:
         """Tables of the plan for the steps after the first one."""
 

@@ -147,7 +147,7 @@ class EnergyHeld:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class UnitPlan:
     """Plan for the units of a kind over W steps, (W, n) each."""
 
     taken_kw: Floats
@@ -245,7 +245,7 @@ class UnitsAhead(ByStep):
         """Energy in a battery of what units hold, and of deliveries in the steps."""
         return EnergyHeld(np.zeros(self.shape[1]), 0.0, 0.0, np.zeros(len(steps)))
 
-    def left_kwh(self, plan: Planned, kwh_each: Floats) -> float:
+    def left_kwh(self, plan: UnitPlan, kwh_each: Floats) -> float:
         """Energy in a battery that stands for what units hold at the end of a plan.
 
         ``kwh_each`` says what a unit of their store stands for, (n,).
@@ -282,11 +282,11 @@ class UnitsAhead(ByStep):
         """Most that all give together, (W,)."""
         return np.zeros(self.shape[0])
 
-    def power_beyond_kw(self, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
-    def stored_beyond_kw(self, plan: Planned) -> Floats:
+    def stored_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
         return np.zeros_like(plan.taken_kw)
 

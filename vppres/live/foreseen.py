@@ -8,7 +8,7 @@ import pandas as pd
 
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
 from vppres.scenario.scenario import Scenario
@@ -69,6 +69,6 @@ def _of_kinds(
         on = units.connected(window.customers, plan.served[decision.row :])
         later = times[: len(taken_kw) - 1]
         ahead = of.part(slice(len(taken_kw)))
-        of_units = Planned(taken_kw, running, on)
+        of_units = UnitPlan(taken_kw, running, on)
         found |= live[kind].foreseen(window, ahead, of_units, later)
     return found

@@ -14,7 +14,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.batteries.physics import power_beyond_kw
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.lines_out import places_of
 from vppres.model.beyond_paper.losses import injections
@@ -273,7 +273,7 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
         units, word = site.kinds[kind], KINDS[kind].word
         on = units.connected(site.customers, d.served)
         taken_kw, running = d.taken_by(kind, units), d.running_of(kind, units)
-        plan = Planned(taken_kw, running, on)
+        plan = UnitPlan(taken_kw, running, on)
         found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(plan))
         found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(plan))
         outage = at_items(data.in_island, site.unit_bus[kind])

@@ -13,7 +13,7 @@ from vppres.control.phased_rule import supply_of
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.kinds.batteries.physics import power_beyond_kw
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.kinds.table import KINDS
 from vppres.model.formulas import lossless_flows
 from vppres.model.parts import at_items
@@ -128,7 +128,7 @@ def _kinds(step: Dispatch, state: StepState, within: Tolerances) -> str:
         taken_kw, running = step.taken_by(kind, units), step.running_of(kind, units)
         on = units.connected(state.site.customers, step.supplied > 0.0)
         now = known.part(slice(1))
-        plan = Planned(taken_kw, running, on)
+        plan = UnitPlan(taken_kw, running, on)
         beyond = np.maximum(now.power_beyond_kw(plan), now.stored_beyond_kw(plan))[0]
         slack = within.power_kw + within.power_share * units.largest_kw
         found = worst_words(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")

@@ -13,7 +13,7 @@ from vppres.core.arrays import Floats
 from vppres.core.plain import number_or_none
 from vppres.kinds.cooling import ThermalLoads
 from vppres.kinds.cooling.physics import Climate, Rooms, after_c
-from vppres.kinds.kind import EARLY_SHARE, ROUNDING_H, Moment, Planned, UnitsNow
+from vppres.kinds.kind import EARLY_SHARE, ROUNDING_H, Moment, UnitPlan, UnitsNow
 from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
 
@@ -225,7 +225,7 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, rooms: Rooms, plan: Planned, times: pd.DatetimeIndex
+    window: Scenario, rooms: Rooms, plan: UnitPlan, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]

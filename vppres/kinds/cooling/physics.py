@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling import OF_A_STEP, ThermalLoads
-from vppres.kinds.kind import Followers, Planned, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, UnitPlan, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.scenario.scenario import Scenario
 
 
@@ -73,7 +73,7 @@ class Rooms(UnitsAhead):
         """Most that all machines take together, (W,)."""
         return np.asarray(self.most_kw.sum(axis=1))
 
-    def power_beyond_kw(self, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of powers beyond what machines can do, none of a customer off, (W, H)."""
         return np.maximum(plan.taken_kw - plan.connected * self.most_kw, -plan.taken_kw)
 

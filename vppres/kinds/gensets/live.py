@@ -18,7 +18,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
 from vppres.kinds.gensets import ROUNDING_H, Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.kinds.kind import EARLY_SHARE, Moment, Planned, UnitsNow
+from vppres.kinds.kind import EARLY_SHARE, Moment, UnitPlan, UnitsNow
 from vppres.live.range import (
     NUMBER,
     POWER,
@@ -387,7 +387,7 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, known: SetsAhead, plan: Planned, times: pd.DatetimeIndex
+    window: Scenario, known: SetsAhead, plan: UnitPlan, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets

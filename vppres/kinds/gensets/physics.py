@@ -14,7 +14,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError
 from vppres.kinds.gensets import ROUNDING_H, Gensets, GensetState, steps_of
-from vppres.kinds.kind import EnergyHeld, Followers, Planned, UnitsAhead
+from vppres.kinds.kind import EnergyHeld, Followers, UnitPlan, UnitsAhead
 from vppres.scenario.scenario import Scenario
 
 LARGEST_SHARE = 0.25
@@ -157,7 +157,7 @@ class SetsAhead(UnitsAhead):
         power_kw = float(sets.p_max_kw[usable].sum())
         return EnergyHeld(kwh_per_litre, power_kw, float(held @ kwh_per_litre), delivered)
 
-    def left_kwh(self, plan: Planned, kwh_each: Floats) -> float:
+    def left_kwh(self, plan: UnitPlan, kwh_each: Floats) -> float:
         """Energy in a battery that stands for the fuel that is left; ``kwh_each`` is of a litre."""
         return float(self.fuel_litres(plan)[-1] @ kwh_each)
 
@@ -173,7 +173,7 @@ class SetsAhead(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.can_run @ self.units.p_max_kw)
 
-    def power_beyond_kw(self, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of powers beyond what sets can do, ramps included, (W, G)."""
         sets = self.units
         over = (
@@ -183,7 +183,7 @@ class SetsAhead(UnitsAhead):
         )
         return np.asarray(np.max(over, axis=0))
 
-    def stored_beyond_kw(self, plan: Planned) -> Floats:
+    def stored_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Fuel that is missing, as a power over the step, (W, G)."""
         litres_per_kw = self.units.litres_per_kwh * self.dt_h
         missing_litres = litres_per_kw * self.headroom_kw - self.fuel_litres(plan)
@@ -201,7 +201,7 @@ class SetsAhead(UnitsAhead):
         """Steps in which a set starts, (W, G)."""
         return on & ~self.on_before(on)
 
-    def fuel_litres(self, plan: Planned) -> Floats:
+    def fuel_litres(self, plan: UnitPlan) -> Floats:
         """Fuel at the end of each step, (W, G), negative where there is not enough."""
         sets = self.units
         burnt = sets.litres(plan.running, -plan.taken_kw, self.dt_h)
@@ -285,7 +285,7 @@ def _lit_by(ahead: SetsAhead, g: int, dark: Flags, room_kw: Floats) -> Flags:
     return lit
 
 
-def moved_too_fast_kw(ahead: SetsAhead, plan: Planned) -> Floats:
+def moved_too_fast_kw(ahead: SetsAhead, plan: UnitPlan) -> Floats:
     """Excess of the change of powers beyond ramps, (W, G).
 
     A set may stop from any power, and one that forms the grid follows the load at once.

@@ -18,7 +18,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets import steps_of
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -185,7 +185,7 @@ class GensetsModel(Addition):
         """Switching, power and fuel of every set."""
         ahead = data.ahead.known(KIND)
         on, power_kw = running(site, dispatch)
-        fuel = ahead.fuel_litres(Planned(-power_kw, on, on))
+        fuel = ahead.fuel_litres(UnitPlan(-power_kw, on, on))
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
         return AdditionDispatch(dict(zip(self.by_dispatch, letters, strict=True)))
 

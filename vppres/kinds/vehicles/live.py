@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.plain import number_or_none
 from vppres.core.text import iso
-from vppres.kinds.kind import ROUNDING_H, Moment, Planned, UnitsNow
+from vppres.kinds.kind import ROUNDING_H, Moment, UnitPlan, UnitsNow
 from vppres.kinds.vehicles import NO_CAR, OF_SESSIONS, Sessions
 from vppres.kinds.vehicles.physics import Garage, Plugged, stored_by
 from vppres.kinds.vehicles.words import SHORT_KWH
@@ -335,7 +335,7 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 
 
 def foreseen(
-    window: Scenario, ahead: Plugged, plan: Planned, times: pd.DatetimeIndex
+    window: Scenario, ahead: Plugged, plan: UnitPlan, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Known vehicles that leave short within the plan; what leaves after it is not judged."""
     chargers, sessions = window.chargers, window.sessions

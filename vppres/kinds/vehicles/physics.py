@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.kind import Followers, Planned, UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.kind import Followers, UnitPlan, UnitsAhead, price_scale, refuse_dear_energy
 from vppres.kinds.vehicles import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -219,7 +219,7 @@ class Plugged(UnitsAhead):
         """Most that all give together, (W,)."""
         return np.asarray(self.known @ self.units.p_discharge_kw)
 
-    def power_beyond_kw(self, plan: Planned) -> Floats:
+    def power_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
@@ -228,7 +228,7 @@ class Plugged(UnitsAhead):
         back_kw = (self.known & plan.connected) * self.units.p_discharge_kw
         return np.maximum(plan.taken_kw - most_kw, -plan.taken_kw - back_kw)
 
-    def stored_beyond_kw(self, plan: Planned) -> Floats:
+    def stored_beyond_kw(self, plan: UnitPlan) -> Floats:
         """Excess of energies beyond their limits, as a power over the step, (W, K)."""
         energy_kwh = self.energy_kwh(plan.taken_kw)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)

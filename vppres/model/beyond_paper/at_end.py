@@ -20,7 +20,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
-from vppres.kinds.kind import Planned
+from vppres.kinds.kind import UnitPlan
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -89,7 +89,7 @@ def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispat
         units, known = site.kinds[kind], ahead.by_kind[kind].part(slice(dispatch.n_steps))
         taken_kw, running = dispatch.taken_by(kind, units), dispatch.running_of(kind, units)
         connected = units.connected(site.customers, dispatch.served)
-        plan = Planned(taken_kw, running, connected)
+        plan = UnitPlan(taken_kw, running, connected)
         held_kwh += known.left_kwh(plan, kwh_each)
     return held_kwh
 

@@ -7,7 +7,7 @@ for its content, and name it here.
 
 from __future__ import annotations
 
-from vppres.report.sections.base import Part
+from vppres.report.sections.base import SectionOf
 from vppres.report.sections.explain import explain_of
 from vppres.report.sections.feeder import feeder_of
 from vppres.report.sections.listed import (
@@ -23,17 +23,17 @@ from vppres.report.sections.outages import outages_of
 from vppres.report.sections.overview import overview_of
 from vppres.report.sections.service import service_of
 
-SECTIONS: tuple[Part, ...] = (
-    Part("overview", "Summary", overview_of),
-    Part("timeline", "Events", timeline_of),
-    Part("outages", "Outage forecasts and outcomes", outages_of),
-    Part("days", "Day by day", days_of),
-    Part("explain", "Decisions and reasons", explain_of),
-    Part("service", "Supply by customer", service_of),
-    Part("feeder", "The feeder", feeder_of),
-    Part("energy", "Energy, import and price", energy_of),
-    Part("network", "Voltages and line loading", network_of),
-    Part("figures", "All figures", figures_of),
-    Part("solver", "Solver results", solver_of),
-    Part("assumptions", "Assumptions and provenance", assumptions_of),
+SECTIONS: tuple[SectionOf, ...] = (
+    SectionOf("overview", "Summary", overview_of),
+    SectionOf("timeline", "Events", timeline_of),
+    SectionOf("outages", "Outage forecasts and outcomes", outages_of),
+    SectionOf("days", "Day by day", days_of),
+    SectionOf("explain", "Decisions and reasons", explain_of),
+    SectionOf("service", "Supply by customer", service_of),
+    SectionOf("feeder", "The feeder", feeder_of),
+    SectionOf("energy", "Energy, import and price", energy_of),
+    SectionOf("network", "Voltages and line loading", network_of),
+    SectionOf("figures", "All figures", figures_of),
+    SectionOf("solver", "Solver results", solver_of),
+    SectionOf("assumptions", "Assumptions and provenance", assumptions_of),
 )

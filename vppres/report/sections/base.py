@@ -54,7 +54,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Part:
+class SectionOf:
     """A part that a report may have; its content goes into ``templates/sections/KEY.html.j2``."""
 
     key: str
