@@ -84,7 +84,7 @@ class News:
         quantities = (*STATES, *OF_VISITS)
         if all(quantity not in quantities for _, quantity in told):
             return
-        latest = self.store.latest(until, quantities)
+        latest = self.store.latest(until, quantities, assets={asset for asset, _ in told})
         for of in every().values():
             latest = of.of_those_here(latest)
         before = {(one.asset, one.quantity): one for one in latest}
@@ -124,7 +124,8 @@ class News:
             return
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + self.scenario.grid.step
-        latest = self.store.latest(until, {quantity for _, quantity in stores})
+        assets, quantities = map(set, zip(*stores, strict=True))
+        latest = self.store.latest(until, quantities, assets=assets)
         before = {(one.asset, one.quantity): one for one in latest}
         for key, store in stores.items():
             one, was = told[key], before.get(key)
