@@ -307,3 +307,11 @@ def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None
         process.terminate()
         process.communicate(timeout=30)
     assert process.returncode == 0
+
+
+def test_last_readings_are_those_of_the_assets_that_are_named(runner: Runner) -> None:
+    rows = [Reading(b, "soc", seconds(NOON), "plc", 60, 0.5) for b in ("big", "small")]
+    runner.store.write_readings(rows, NOON)
+    assert runner.store.latest(NOON, ["soc"]) == rows
+    assert runner.store.latest(NOON, ["soc"], assets=["small"]) == rows[1:]
+    assert runner.store.latest(NOON, ["soc"], assets=[]) == []

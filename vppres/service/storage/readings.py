@@ -51,14 +51,22 @@ class StoredReadings(Transactions):
         return (asset, quantity) in self._items
 
     def latest(
-        self, until: pd.Timestamp, quantities: Iterable[str], known: bool = False
+        self,
+        until: pd.Timestamp,
+        quantities: Iterable[str],
+        known: bool = False,
+        assets: Iterable[str] | None = None,
     ) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included.
 
-        Missing values are passed over if only ``known`` ones are asked for.
+        Missing values are passed over if only ``known`` ones are asked for. Of ``assets`` all are
+        meant if none are given.
         """
+        chosen = _latest(seconds(until), quantities, known)
+        if assets is not None:
+            chosen = chosen.where(HEARD_OF.c.asset.in_(list(assets)))
         # Of two sources that speak at once the first by name counts.
-        found = self._readings(_latest(seconds(until), quantities, known))
+        found = self._readings(chosen)
         return list({(r.asset, r.quantity): r for r in found}.values())
 
     def has_turned(self, asset: str, quantity: str, since: int) -> bool:

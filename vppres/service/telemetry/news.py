@@ -84,7 +84,7 @@ class News:
         quantities = (*STATES, *OF_VISITS)
         if all(quantity not in quantities for _, quantity in told):
             return
-        before = self._of_those_here(until, quantities)
+        before = self._of_those_here(until, quantities, told)
         of_kinds = {KIND_OF[name].kind for _, name in told if name in KIND_OF}
         rejected = {kind: self.store.refusing(kind) for kind in of_kinds}
         for (asset, quantity), one in told.items():
@@ -121,7 +121,9 @@ class News:
             return
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + self.scenario.grid.step
-        before = self._of_those_here(until, {*STATES, *(quantity for _, quantity in stores)})
+        before = self._of_those_here(
+            until, {*STATES, *(quantity for _, quantity in stores)}, stores
+        )
         for key, store in stores.items():
             one, was = told[key], before.get(key)
             first = not was and key[1] in OF_VISITS  # that is news by itself
@@ -150,9 +152,11 @@ class News:
                 if (asset, quantity) in told:
                     yield (asset, quantity), store
 
-    def _of_those_here(self, until: pd.Timestamp, quantities: Iterable[str]) -> dict[Key, Reading]:
-        """Last readings before, by asset and quantity, without those of units that left since."""
-        latest = self.store.latest(until, quantities)
+    def _of_those_here(
+        self, until: pd.Timestamp, quantities: Iterable[str], keys: Iterable[Key]
+    ) -> dict[Key, Reading]:
+        """Last readings before of the assets in keys, without those of units that left since."""
+        latest = self.store.latest(until, quantities, assets={asset for asset, _ in keys})
         for of in every().values():
             latest = of.of_those_here(latest)
         return {(one.asset, one.quantity): one for one in latest}
