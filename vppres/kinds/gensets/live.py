@@ -78,12 +78,11 @@ class Ran:
     #: How they were to run.
     on: Flags
     power_kw: Floats
-    #: When each was told to start that has not run since; NaN of others. None in older states.
-    asked_h: Floats | None = None
+    asked_h: Floats | None = None  #: :attr:`waits_since_h`; None in states of earlier versions
 
     @property
     def waits_since_h(self) -> Floats:
-        """When each was told to start that has not run since; NaN of others, (G,)."""
+        """Time of the order to start of each that has not run since; NaN of others, (G,)."""
         if self.asked_h is None:
             return np.where(self.on & ~self.before.on, self.at_h, np.nan)
         return self.asked_h

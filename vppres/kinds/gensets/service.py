@@ -51,7 +51,7 @@ class Sets(OfKind):
     ) -> float:
         """A start that was rejected since the last reading is a fault.
 
-        A set that does what it was told is no news.
+        A set that follows its set-point is no news.
         """
         if one.quantity == "running" and before:
             points = plan.get("setpoints", ())

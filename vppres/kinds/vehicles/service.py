@@ -100,7 +100,7 @@ class ChargingPoints(OfKind):
         return said_of(plan, "vehicles", scenario.chargers.id, reckoned, "energy_kwh")
 
     def reckoned(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str, Reckoned]]:
-        """Charge of vehicles as they tell it: a share of their capacity, or what they need.
+        """Charge of vehicles: a share of their capacity, or the energy that they need.
 
         Many take less than they are offered: what a charger gives in half a step is no news.
         """
