@@ -314,6 +314,18 @@ def test_an_unwritable_scenario_is_refused_before_anything_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("name", "message"), [
+    ("time", "is reserved for the time column"), (" homes", "begins or ends with a space"),
+])  # fmt: skip
+def test_a_name_that_files_change_is_refused_in_python(
+    tiny: Scenario, tmp_path: Path, name: str, message: str
+) -> None:
+    renamed = replace(tiny.customers, id=["hospital", "shop", name])
+    pv = replace(tiny.pv, customer=["hospital", name])
+    with pytest.raises(InputError, match=message):
+        write_scenario(replace(tiny, customers=renamed, pv=pv), tmp_path / "renamed")
+
+
 def test_a_scenario_that_is_too_long_to_be_read_is_not_written(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -101,6 +101,8 @@ def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
             f"holds the character U+{ord(hidden):04X}, which cannot be shown",
             "Write it with characters that can be seen.",
         )
+    if text != text.strip():
+        return "begins or ends with a space", "Leave it out: files are read without it."
     is_number = text[1:].isdecimal() and text[0] == "-"
     if text[:1] and text[0] in _FORMULA and not is_number:
         return (

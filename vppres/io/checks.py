@@ -12,6 +12,7 @@ from vppres.core.errors import Problem
 from vppres.io import schema
 from vppres.io.messages import Suggestions
 from vppres.io.rows import Rows
+from vppres.io.series import TIME
 from vppres.io.tables import Table
 from vppres.kinds.table import TABLES
 from vppres.scenario.assets import SOC_ROUNDING
@@ -19,7 +20,6 @@ from vppres.scenario.network import BusId
 
 # Series are written with few digits: a peak may exceed its rating by this share.
 RATING_TOLERANCE = 1e-3
-_RESERVED = "time"
 _INTEGER = re.compile(r"-?[0-9]{1,18}")
 
 
@@ -67,13 +67,16 @@ def check_limits(table: Table, key: str, rows: Rows) -> list[Problem]:
     return problems
 
 
+RESERVED = ("is reserved for the time column", "Choose another identifier.")
+"""Message and cure of an identifier that is the name of that column."""
+
+
 def check_ids(table: Table) -> list[Problem]:
     """Identifiers that appear twice, or that a series could not use as a column."""
-    message = "is reserved for the time column"
     reserved = [
-        table.problem(row, "id", message, "Choose another identifier.", text)
+        table.problem(row, "id", *RESERVED, text)
         for row, text in table.column("id").items()
-        if text == _RESERVED
+        if text == TIME
     ]
     twice = check_once(table, "id", "Give each row its own identifier.")
     return sorted(twice + reserved, key=lambda problem: problem.row or 0)

@@ -12,7 +12,9 @@ from pydantic.fields import FieldInfo
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
+from vppres.io.checks import RESERVED
 from vppres.io.messages import Suggestions, few, folded, shown
+from vppres.io.series import TIME
 from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import OF_HOURS
@@ -64,7 +66,8 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
     ]
     for table, field, names in texts:
         for name in names:
-            flaw = flaw_of_name(str(name), schema.MAX_NAME_LENGTH)
+            taken = RESERVED if name == TIME and field == "id" else None
+            flaw = taken or flaw_of_name(str(name), schema.MAX_NAME_LENGTH)
             if flaw:
                 yield Problem(table, flaw[0], flaw[1], field=field, value=shown(name))
     flaw = flaw_of_name(scenario.title, schema.MAX_TITLE_LENGTH)

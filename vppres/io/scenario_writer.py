@@ -21,6 +21,7 @@ from vppres.io import schema
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
 from vppres.io.phase_files import phase_frames
+from vppres.io.python_door import check_scenario
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
@@ -53,9 +54,10 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
     Raises
     ------
     InputError
-        If the folder holds something, scenario.toml could not say what the scenario says, or a
-        table would be too long to be read.
+        If the folder holds something, scenario.toml could not say what the scenario says, a table
+        would be too long to be read, or a name or a number is one that reading refuses.
     """
+    check_scenario(scenario)
     document_of(scenario)  # refused before anything is touched
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)

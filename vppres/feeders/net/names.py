@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from vppres.core.text import visible
+from vppres.core.text import flaw_of_name, visible
+from vppres.io.series import TIME
 from vppres.scenario.network import BusId
 
 LONGEST = 80
@@ -23,18 +24,32 @@ def bus_names(net: Any) -> dict[int, BusId]:
 def identifiers(names: Sequence[str], numbers: Sequence[object]) -> list[str]:
     """Names as identifiers: one that is missing is its number, one that others have gets it.
 
-    >>> identifiers(["School", "Mill", "Mill", ""], [3, 4, 5, 6])
-    ['School', 'Mill (4)', 'Mill (5)', '6']
+    The column of times is one of the others.
+
+    >>> identifiers(["School", "Mill", "Mill", "", "time"], [3, 4, 5, 6, 7])
+    ['School', 'Mill (4)', 'Mill (5)', '6', 'time (7)']
     >>> identifiers(["Mill", "Mill", "Mill (4)"], [4, 5, 6])
     ['Mill (4)', 'Mill (5)', 'Mill (4) (6)']
     """
-    clean = [visible(" ".join(name.split()))[:LONGEST].strip() for name in names]
+    clean = [_clean(name) for name in names]
     numbered = [f"{name} ({number})" for name, number in zip(clean, numbers, strict=True)]
-    count = Counter([*clean, *map(str, numbers), *numbered])
+    count = Counter([*clean, *map(str, numbers), *numbered, TIME])
     return [
         str(number) if not name else name if count[name] == 1 else longer
         for name, number, longer in zip(clean, numbers, numbered, strict=True)
     ]
+
+
+def _clean(name: str) -> str:
+    """A name that can be shown, without what a spreadsheet would run.
+
+    >>> _clean("=1+1"), _clean("-5"), _clean("- @Mill  ")
+    ('1+1', '-5', 'Mill')
+    """
+    clean = visible(" ".join(name.split()))[:LONGEST].strip()
+    while flaw_of_name(clean, LONGEST):
+        clean = clean[1:].strip()
+    return clean
 
 
 def name_in(label: str) -> str:
