@@ -385,6 +385,16 @@ def street() -> Any:
     return net
 
 
+def test_what_one_house_has_has_names_of_its_own() -> None:
+    """Sources have names by class; readings and set-points go by name alone."""
+    net = deepcopy(street())
+    for table in (net.sgen, net.storage):
+        table["name"] = "Classrooms"
+    made = new_scenario(import_network(net, names=True), NewScenarioOptions())
+    assert [*made.pv.id] == ["PV of Classrooms"]
+    assert [*made.batteries.id] == ["battery of Classrooms"]
+
+
 @pytest.mark.nightly
 def test_names_of_the_source_and_several_customers_on_a_bus(tmp_path: Path) -> None:
     feeder = import_network(street(), names=True)
