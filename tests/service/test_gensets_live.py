@@ -364,3 +364,31 @@ def test_a_set_that_stands_still_is_out_after_a_step_however_often_it_is_decided
         plan = runner.anew()
         assert plan is not None and said(plan, "gensets")["g0"]["running"]
         assert runs(71.0, 1.0) == ()
+
+
+@pytest.mark.parametrize("fails", ["start_fault", "rejected"])
+def test_a_set_that_runs_after_its_fault_stays_in_the_plan(
+    tiny: Scenario, tmp_path: Path, fails: str
+) -> None:
+    """Started by hand; its fault is never taken back, and the step is decided anew again."""
+    day, clock = with_set(site(tiny)), SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+
+        def planned(minutes: float, quantity: str, value: float) -> bool:
+            clock.set(NOON + pd.Timedelta(minutes=minutes))
+            http.post("/v1/telemetry", {"series": readings(clock.now(), quantity, {"g0": value})})
+            runner.changes.note("a test")
+            plan = runner.anew()
+            assert plan is not None
+            return bool(said(plan, "gensets")["g0"]["running"])
+
+        http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
+        point = said(decided(http, clock, NOON), "gensets")["g0"]
+        clock.set(NOON + pd.Timedelta(minutes=1))
+        if fails == "rejected":
+            http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
+        told = ("start_fault", 1.0) if fails == "start_fault" else ("fuel_litres", 160.0)
+        assert not planned(3.0, *told)
+        assert planned(5.0, "running", 1.0)
+        assert planned(7.0, "fuel_litres", 150.0)
+        assert not planned(9.0, "running", 0.0)
