@@ -160,17 +160,22 @@ def _told_of_all(scenario: Scenario, plan: Plan) -> list[Mapping[str, Any]] | No
 
 
 def _faults(stored: Stored) -> dict[str, float]:
-    """Sets that failed to start, 1, and those that say that they did not, 0."""
+    """Sets that failed to start, 1, and those that say that they did not, 0.
+
+    One that was read to run since has started.
+    """
     fault = stored.readings.newest("start_fault")
+    runs = stored.readings.newest("running")
+    ran = {name: one.time for name, one in runs.items() if one.value == 1.0}
     faults = {
         k: value for k, value in stored.readings.holding("start_fault").items() if value == 0.0
     }
-    faults |= {name: 1.0 for name, one in fault.items() if one.value == 1.0}
+    failed = {name: one.time for name, one in fault.items() if one.value == 1.0}
     names = {str(name) for name in stored.scenario.gensets.id}
     for name, at in stored.store.refusing("gensets").items():
         if name in names and not (name in fault and fault[name].time > at):
-            faults[name] = 1.0
-    return faults
+            failed[name] = at
+    return faults | {name: 1.0 for name, at in failed.items() if ran.get(name, -math.inf) < at}
 
 
 def _ordered_by_others(
