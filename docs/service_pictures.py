@@ -19,7 +19,7 @@ from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Runner
 from vppres.service.operation.site import Service
-from vppres.service.storage.store import Reading, seconds
+from vppres.service.storage.records import Reading, seconds
 
 FOLDER = Path(__file__).with_name("_static")
 COLOURS = 96

@@ -386,13 +386,23 @@ def street() -> Any:
 
 
 def test_names_of_the_source_that_no_file_takes_are_changed(tmp_path: Path) -> None:
-    net = street()
+    net = deepcopy(street())
     net.load["name"] = ["time", "=1+1", "+x", "@x"]
     net.bus["name"] = ["- hill", " 007 ", "nan"]
     write_new_scenario(import_network(net, names=True), NewScenarioOptions(), tmp_path / "street")
     day = read_scenario(tmp_path / "street")
     assert [*day.customers.id] == ["time (load 0)", "1+1", "x (load 2)", "x (load 3)"]
     assert [*day.network.buses] == ["hill", "007", "nan"]
+
+
+def test_what_one_house_has_has_names_of_its_own() -> None:
+    """Sources have names by class; readings and set-points go by name alone."""
+    net = deepcopy(street())
+    for table in (net.sgen, net.storage):
+        table["name"] = "Classrooms"
+    made = new_scenario(import_network(net, names=True), NewScenarioOptions())
+    assert [*made.pv.id] == ["PV of Classrooms"]
+    assert [*made.batteries.id] == ["battery of Classrooms"]
 
 
 @pytest.mark.nightly

@@ -304,6 +304,34 @@ def test_a_retained_message_is_left_out(caplog: pytest.LogCaptureFixture) -> Non
     assert "is retained" in caplog.text
 
 
+def test_set_points_of_one_name_have_topics_by_kind(tmp_path: Path) -> None:
+    """A customer and a PV system may be called alike: none replaces what the other was told."""
+    told = []
+
+    class Broker:
+        """Says what is published."""
+
+        def is_connected(self) -> bool:
+            return True
+
+        def publish(self, topic: str, *_: Any, **__: Any) -> None:
+            told.append(topic)
+
+    with bridged(tmp_path) as (_, bridge):
+        found = bridge.service.wanted("GET", "/v1/setpoints").body
+        found["setpoints"] = [{**one, "asset": "house"} for one in found["setpoints"][:2]] + [
+            found["setpoints"][2]
+        ]
+        kinds = ["customers", "pv", "pv"]
+        for one, kind in zip(found["setpoints"], kinds, strict=True):
+            one["kind"] = kind
+        bridge.broker = Broker()
+        bridge.service.wanted = lambda *_: Answer(200, found, 0.0)
+        bridge.turn()
+    name = found["setpoints"][2]["asset"]
+    assert told == [f"vppres/setpoints/{each}" for each in ("customers/house", "pv/house", name)]
+
+
 NO_NUMBERS = (b"62 %", b"0,62", b'{"value": 0.62}', b"unavailable", b"1_0e-1", b"nan", b"\xff")
 
 

@@ -154,6 +154,12 @@ SEQUENCES: dict[str, list[Row]] = {
             "price_gbp_per_kwh": [0.7, 0.8]}, 201, {}),
         ("14:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": 0.7}),
         ("15:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": 0.8}),
+        # The one that was written last, wherever it says anything: a month in one value, then 20 min.
+        ("16:00", "PUT events/quarters", {**CHEAP, "start": f"{DAY}12:00:00Z", "resolution": "PT720H",
+            "price_gbp_per_kwh": [0.2]}, 200, {}),
+        ("16:00", "PUT events/hours", {**CHEAP, "start": f"{DAY}16:30:00Z", "resolution": "PT20M",
+            "price_gbp_per_kwh": [0.8]}, 200, {}),
+        ("16:00", "decide", 0.2, 200, {"expected.price_gbp_per_kwh": pytest.approx(0.4)}),
     ],
     "telemetry is kept once and refused by name": [
         ("12:00", "POST telemetry", heard(NOON), 200, {"": {"accepted": 2, "duplicates": 0, "refused": []}}),

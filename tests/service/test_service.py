@@ -132,7 +132,7 @@ def test_a_step_that_cannot_be_kept_is_not_decided(
         def full(*_: Any, **__: Any) -> None:
             raise sa.exc.OperationalError("insert", {}, Exception("database or disk is full"))
 
-        broken.setattr("vppres.service.storage.store.put", full)
+        broken.setattr("vppres.service.storage.steps.put", full)
         clock.set(later)
         answer = http.post("/v1/steps")
         assert answer.status == 503 and "disk is full" in answer.json()["detail"]
@@ -266,6 +266,12 @@ def test_hostile_requests_get_a_problem_and_change_nothing(live: Live) -> None:
     status = http.get("/v1/status").json()
     assert status["sources"] == {} and status["step"] is None
     assert http.get("/v1/events").json() == {}
+
+
+def test_a_reading_is_of_one_device(tiny: Scenario) -> None:
+    alike = replace(tiny.batteries, id=np.array(["big", str(tiny.customers.id[0])], dtype=object))
+    with pytest.raises(InputError, match="two devices, and a reading of online says not whose"):
+        Service(site(replace(tiny, batteries=alike)), HERE)
 
 
 def test_the_interface_is_the_one_that_is_published(live: Live) -> None:

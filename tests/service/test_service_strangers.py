@@ -32,7 +32,7 @@ from vppres.service.http.connections import MOST_AT_ONCE, SILENT_S
 from vppres.service.http.serve import opened
 from vppres.service.http.started import Started, started
 from vppres.service.operation.site import Service
-from vppres.service.storage.store import TRIED_S
+from vppres.service.storage.transactions import TRIED_S
 
 LOCKED_OUT_S = SILENT_S / 2
 """Whoever is locked out waits until a silent connection is closed, which takes twice as long."""

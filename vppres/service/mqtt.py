@@ -8,7 +8,8 @@
                                               service's page; retained messages are left out,
                                               since nothing says from when they are
 ``vppres/setpoints/ASSET``                    written, retained: the set-point as JSON, which the
-                                              broker forgets when it ends
+                                              broker forgets when it ends; ``KIND/ASSET`` of
+                                              assets of several kinds that have one name
 ``vppres/asked/ASSET/QUANTITY``               written: why a reading is to be sent again at once
 ``vppres/status``                             written, retained: ``online``, and ``offline`` as
                                               the bridge's last will
@@ -26,7 +27,7 @@ import logging
 import math
 import os
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -65,6 +66,8 @@ class Topics:
     --------
     >>> Topics().set_points("b/2")
     ['vppres/setpoints/b%2F2', 'vppres/setpoints/b/2']
+    >>> Topics().set_points("house", "pv")
+    ['vppres/setpoints/pv/house']
     >>> Topics().reading("vppres/telemetry/b%2F2/soc")
     ('b/2', 'soc')
     >>> Topics().reading("vppres/telemetry/b/2/soc")
@@ -83,12 +86,16 @@ class Topics:
         """All readings."""
         return f"{self.prefix}/telemetry/#"
 
-    def set_points(self, asset: str) -> list[str]:
-        """Topics of a set-point: the asset's name as in a URL, and plain if a topic allows it."""
+    def set_points(self, asset: str, kind: str = "") -> list[str]:
+        """Topics of a set-point: the asset's name as in a URL, and plain if a topic allows it.
+
+        The ``kind`` stands before a name that others have too.
+        """
         names = [quote(asset, safe="")]
         if not set(asset) & set(WILDCARDS):
             names.append(asset)
-        return [f"{self.prefix}/setpoints/{name}" for name in dict.fromkeys(names)]
+        place = f"{self.prefix}/setpoints/{kind}{'/' * bool(kind)}"
+        return [f"{place}{name}" for name in dict.fromkeys(names)]
 
     @property
     def grid_again(self) -> str:
@@ -159,8 +166,11 @@ class Bridge:
             self._send(list(islice(self._waiting, MOST_SERIES)))
         found = self.service.wanted("GET", "/v1/setpoints").body
         # What is published before there is a broker would be published again.
+        shared = Counter(point["asset"] for point in found["setpoints"])
         for point in found["setpoints"] if self.broker.is_connected() else ():
-            self._publish(point, pd.Timestamp(found["at"]))
+            kind = point["kind"] if shared[point["asset"]] > 1 else ""
+            topics = self.topics.set_points(point["asset"], kind)
+            self._publish(point, topics, pd.Timestamp(found["at"]))
 
     def _send(self, sending: list[dict[str, Any]]) -> None:
         """Send as many readings as the service takes at once."""
@@ -179,7 +189,7 @@ class Bridge:
             if self._waiting and self._waiting[0] is one:
                 self._waiting.popleft()
 
-    def _publish(self, point: dict[str, Any], now: pd.Timestamp) -> None:
+    def _publish(self, point: dict[str, Any], topics: Sequence[str], now: pd.Timestamp) -> None:
         """A set-point that is new; the broker forgets it when it ends, also without the service."""
         key = f"{point['kind']}/{point['asset']}"
         state = (point["id"], point["active"])
@@ -189,7 +199,7 @@ class Bridge:
         if point["active"]:
             left = pd.Timestamp(point["valid_until"]) - now
             properties.MessageExpiryInterval = max(1, int(left.total_seconds()))
-        for topic in self.topics.set_points(point["asset"]):
+        for topic in topics:
             self.broker.publish(topic, json.dumps(point), qos=1, retain=True, properties=properties)
         self._published[key] = state
 

@@ -40,7 +40,7 @@ LARGEST_SUM_ERROR = 1e-3
 FIRST_YEAR, LAST_YEAR = 2000, 2199
 
 OTHER_CENTURY = "is not a time of this century or the next"
-_DURATION = re.compile(r"PT(?=\d)(\d{1,4}H)?(\d{1,5}M)?(\d{1,6}S)?")
+_DURATION = re.compile(r"PT(?=\d)(?:(\d{1,4})H)?(?:(\d{1,6})M)?(?:(\d{1,8})S)?")
 
 
 def read_moment(value: Any) -> pd.Timestamp:
@@ -65,9 +65,12 @@ def read_duration(value: Any) -> pd.Timedelta:
     >>> read_duration("PT30M")
     Timedelta('0 days 00:30:00')
     """
-    if not isinstance(value, str) or not _DURATION.fullmatch(value):
+    found = _DURATION.fullmatch(value) if isinstance(value, str) else None
+    if found is None:
         raise ValueError("is not a duration. Write hours, minutes or seconds, for example PT30M")
-    duration = pd.Timedelta(value)
+    # pandas reads no hours of three digits.
+    hours, minutes, whole = (int(number or 0) for number in found.groups())
+    duration = pd.Timedelta(seconds=3600 * hours + 60 * minutes + whole)
     if duration <= pd.Timedelta(0):
         raise ValueError("must be longer than nothing")
     return duration

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,18 +44,34 @@ class Window:
         """Which steps an interval touches, (W,)."""
         return np.asarray((self.times + self.length > start) & (self.times < end))
 
-    def lay(self, series: Floats, body: Prices | Forecasts, values: list[float]) -> None:
-        """Put the mean of a body's values in each step that it touches in a series' place."""
-        start, each = body.start.tz_convert("UTC"), body.resolution
-        for row, time in enumerate(self.times):
-            end = time + self.length
-            first = max((time - start) // each, 0)
-            after = min(-((start - end) // each), len(values))
-            begins = [start + place * each for place in range(first, after)]
-            held = [(min(begin + each, end) - max(begin, time)) / each for begin in begins]
-            if held:
-                mean = np.average(values[first:after], weights=held)
-                series[row] = mean if len(held) > 1 else values[first]
+    def lay(
+        self, series: Floats, bodies: Iterable[tuple[Prices | Forecasts, Sequence[float]]]
+    ) -> None:
+        """Put the mean of what bodies say of each step in a series' place; a later one counts.
+
+        A step of which none says anything stays, and time of it that none covers does not count.
+        """
+        step_s = self.length.total_seconds()
+        steps_s = self.times[0].timestamp() + step_s * np.arange(len(self.times) + 1)
+        pieces = [
+            (start + each * np.arange(len(values) + 1), values)
+            for body, values in bodies
+            for start, each in [(body.start.timestamp(), body.resolution.total_seconds())]
+            if start < steps_s[-1] and start + each * len(values) > steps_s[0]
+        ]
+        edges_s = np.unique(np.concatenate([steps_s, *(ends for ends, _ in pieces)]))
+        said = np.full(len(edges_s) - 1, np.nan)
+        for ends_s, values in pieces:
+            places = np.searchsorted(edges_s, ends_s)
+            said[places[0] : places[-1]] = np.repeat(values, np.diff(places))
+        held_s = np.diff(edges_s)
+        bounds = np.searchsorted(edges_s, steps_s)
+        for row, (first, after) in enumerate(pairwise(bounds)):
+            known = np.flatnonzero(~np.isnan(said[first:after])) + first
+            if len(known):
+                alike = np.ptp(said[known]) == 0.0
+                mean = np.average(said[known], weights=held_s[known])
+                series[row] = said[known[0]] if alike else mean
 
     def expected(
         self,
@@ -80,7 +97,7 @@ class Window:
             careful = getattr(quantiles, CAUTIOUS[quantity]) if name in silent else None
             if careful:
                 cautious.append(name)
-            self.lay(table[:, columns[name]], forecast, careful or quantiles.p50)
+            self.lay(table[:, columns[name]], [(forecast, careful or quantiles.p50)])
         return table, cautious
 
 

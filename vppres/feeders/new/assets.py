@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -76,7 +76,9 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     customers = _customers(connections, tier, tiers)
     table = generator_table(feeder)
     kept = _kept(table, options)
+    taken = {str(name) for name in customers.id}
     grouped = _own_systems(table[kept], feeder.named)
+    grouped["id"] = _apart(grouped["id"], grouped["kind"].replace(PV, "PV"), taken)
     before = 0
     if options.pv == "sized":
         sized = _sized_pv(customers, peak_kw, options, draw_pv, feeder.named)
@@ -85,9 +87,10 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     else:
         pv = _systems(grouped, customers, set())
     engines = sets_of(table, feeder.phased)
-    sets = _own_sets(engines, feeder.named)
+    sets = _own_sets(engines, feeder.named, taken)
     set_labels = dict(zip(map(str, sets.sets.id), map(str, engines["id"]), strict=True))
     own = _own_batteries(feeder)
+    own = replace(own, id=_apart(own.id, ["battery"] * len(own), taken))
     added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
         _told_tiers(feeder, tier, tiers, options),
@@ -299,14 +302,16 @@ def _own_systems(kept: pd.DataFrame, named: bool) -> pd.DataFrame:
     return grouped.assign(id=_distinct(_names(ids)))
 
 
-def _own_sets(rows: pd.DataFrame, named: bool) -> NewSets:
+def _own_sets(rows: pd.DataFrame, named: bool, taken: set[str]) -> NewSets:
     """The source's generating sets, each for itself."""
     ids = [f"{kind}{bus}" for kind, bus in zip(rows["kind"], rows["bus"], strict=True)]
     if named:
         ids = identifiers([name_in(str(name)) for name in rows["id"]], ids)
     sizes = written(rows[["p_max_kw", "p_min_kw"]].to_numpy(float)).T
     rows = rows.assign(p_max_kw=sizes[0], p_min_kw=sizes[1])
-    return NewSets.of(rows, [str(name) for name in _distinct(_names(ids))])
+    return NewSets.of(
+        rows, [str(name) for name in _apart(_distinct(_names(ids)), rows["kind"], taken)]
+    )
 
 
 def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
@@ -541,3 +546,15 @@ def _distinct(names: Names) -> Names:
     series = pd.Series(names, dtype=object)
     number = series.groupby(series).cumcount() + 1
     return np.where(number > 1, series + "_" + number.astype(str), series).astype(object)
+
+
+def _apart(names: Iterable[Any], kinds: Iterable[str], taken: set[str]) -> Names:
+    """Names, with their kind where another asset has the same; they are ``taken`` then.
+
+    Readings and set-points go by name. A source has names by class, so that a load, a battery and a
+    PV system of one house may be called alike there.
+    """
+    both = zip(map(str, names), kinds, strict=True)
+    found = _names([f"{kind} of {name}" if name in taken else name for name, kind in both])
+    taken.update(found)
+    return found

@@ -22,8 +22,8 @@ from vppres.service.events.faults import behind_faults, behind_open
 from vppres.service.of_kind import every
 from vppres.service.plans.document import DARK, PROPOSED, points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
+from vppres.service.storage.followed import REFUSED, why_refused
 from vppres.service.storage.records import asks, seconds
-from vppres.service.storage.statements import REFUSED, why_refused
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Latest, refusing, soc_now

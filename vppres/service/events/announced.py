@@ -41,12 +41,11 @@ SAID_OF_END = {
 def prices(events: Iterable[Event], window: Window) -> Floats:
     """Import prices of a window, (W,): those of events over those of the profile.
 
-    Of two events the one that was written later counts.
+    At each time the event counts that was written last.
     """
     found = window.series["price_gbp_per_kwh"].copy()
-    for event in sorted(events, key=lambda one: one.made_at):
-        if isinstance(event.said, payloads.Prices):
-            window.lay(found, event.said, event.said.price_gbp_per_kwh)
+    said = [event.said for event in sorted(events, key=lambda one: one.made_at)]
+    window.lay(found, [(o, o.price_gbp_per_kwh) for o in said if isinstance(o, payloads.Prices)])
     return found
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Annotated, Any
 
 import pandas as pd
@@ -17,28 +19,33 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.clock import written
+from vppres.service.events.announced import OPEN
 
 POSSIBLE_OUTAGE = 0.5
 """Probability of an outage that is announced as possible."""
+
+ENDLESS = "P9999Y"
+"""Duration of what has no end."""
+
+NOW = re.compile(r"0001-01-01(T00:00:00(\.0+)?)?(Z|[+-]00:?00)?")
+"""Start of what begins now, or of an interval that follows the one before."""
 
 LONGEST = pd.Timedelta(days=366)
 LONGEST_NAME = 60
 """Of an event: what is longer is cut, with a hash instead of its end."""
 
 SOURCE = "openadr"
-RANDOMISED = "randomizeStart"
+RANDOMISED, REPEATED, PRIORITY = "randomizeStart", "duration", "priority"
 POUND = "GBP"
 POWER_KW = {"KW": 1.0, "W": 1e-3, "MW": 1e3}
-ALERTS = (
-    "ALERT_GRID_EMERGENCY",
-    "ALERT_BLACK_START",
-    "ALERT_FLEX_ALERT",
-    "ALERT_OTHER",
-)
+ENERGY_KWH = {"KWH": 1.0, "WH": 1e-3, "MWH": 1e3}
+ALERT, POSSIBLE = "ALERT_", "ALERT_POSSIBLE_OUTAGE"
 _EVENT: TypeAdapter[Any] = TypeAdapter(payloads.Event)
-_ONE: TypeAdapter[Any] = TypeAdapter(
-    Annotated[list[payloads.Number], Field(min_length=1, max_length=1)]
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(
+    Annotated[list[payloads.Number], Field(min_length=1)]
 )
+_DURATION: TypeAdapter[timedelta] = TypeAdapter(timedelta)
+_CALENDAR = re.compile(r"P[^T]*[YM].*")
 
 
 class _Part(BaseModel):
@@ -90,6 +97,8 @@ class OpenADREvent(_Part):
     id: payloads.Name | None = None
     programID: payloads.Name
     eventName: payloads.Name | None = None
+    duration: Annotated[str, Field(max_length=40)] | None = None
+    priority: int | None = None
     intervalPeriod: Period | None = None
     payloadDescriptors: list[Descriptor] | None = Field(None, max_length=50)
     intervals: list[Part] = Field(fail_fast=True, min_length=1, max_length=payloads.MOST_VALUES)
@@ -104,10 +113,28 @@ class OpenADREvent(_Part):
         return f"{name[: LONGEST_NAME - 17]}.{digest}"
 
 
-def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list[str]]:
-    """Our events by name, and what means nothing here: types, and a start that is to be drawn.
+@dataclass(frozen=True)
+class Timed:
+    """An interval with its times."""
 
-    Where no beliefs are planned with a possible outage is an alert.
+    start: pd.Timestamp
+    length: pd.Timedelta | None  #: None if it has no end
+    part: Part
+    until: pd.Timestamp = OPEN  #: when the event ends, which cuts its intervals
+
+    @property
+    def end(self) -> pd.Timestamp:
+        """When it is over."""
+        return self.until if self.length is None else min(self.start + self.length, self.until)
+
+
+def events_of(
+    event: OpenADREvent, believes: bool, now: pd.Timestamp
+) -> tuple[dict[str, Any], list[str]]:
+    """Our events by name, and what has no effect: types, a drawn start, a priority, a repetition.
+
+    Where no beliefs are planned with a possible outage is an alert. What repeats without end does
+    so for a year, or as often as an event may have payloads; an endless price holds for a year.
 
     Raises
     ------
@@ -117,14 +144,19 @@ def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list
     found: dict[str, Any] = {}
     periods = [event.intervalPeriod, *(part.intervalPeriod for part in event.intervals)]
     drawn = any(period and period.randomised for period in periods)
+    spans, is_cut = _repeated(event, now)
     ignored = {RANDOMISED} if drawn else set()
-    for number, (start, length, part) in enumerate(_intervals(event)):
-        for payload in part.payloads:
-            body = _body(payload, start, length, event, believes)
+    ignored |= {PRIORITY} if event.priority else set()
+    ignored |= {REPEATED} if is_cut else set()
+    for number, span in enumerate(spans):
+        for payload in span.part.payloads:
+            body = _body(payload, span, event, believes)
             if body:
                 found[f"{event.name}.{number}.{payload.type}"] = _checked(body)
             else:
                 ignored.add(payload.type)
+            if payload.type == "PRICE" and span.end == OPEN:
+                ignored.add(REPEATED)
     if len(found) > payloads.MOST_VALUES:
         cure = f"Send {payloads.MOST_VALUES} payloads at most."
         raise _wrong("intervals", "have too many payloads", cure, str(len(found)))
@@ -137,61 +169,101 @@ def those_of(event: OpenADREvent, names: Iterable[str]) -> list[str]:
     return [name for name in names if ours.fullmatch(name)]
 
 
-def _intervals(event: OpenADREvent) -> Iterator[tuple[pd.Timestamp, pd.Timedelta, Part]]:
-    """Beginning and length of each interval."""
+def _repeated(event: OpenADREvent, now: pd.Timestamp) -> tuple[list[Timed], bool]:
+    """Intervals up to the end of the event, which may cut or repeat them, and whether some lack.
+
+    Repetitions that are over are left out, and those that begin later than in a year.
+    """
+    spans = [*_spans(event, now)]
+    lasts = None if event.duration is None else _length(event.duration, zero=True)
+    if event.duration is None or lasts == pd.Timedelta(0):  # OpenADR's default
+        return spans, False
+    begin = min(span.start for span in spans)
+    until = OPEN if lasts is None else begin + lasts
+    once = max(span.end for span in spans) - begin
+    each = sum(len(span.part.payloads) for span in spans)
+    most = max(payloads.MOST_VALUES // max(each, 1), 1)
+    first = max((now - begin) // once, 0)
+    last = min(until, max(now, begin) + LONGEST)
+    turns = range(first, min(first + most, -((begin - last) // once)))
+    repeated = [
+        replace(span, start=span.start + turn * once, until=until)
+        for turn in turns
+        for span in spans
+        if span.start + turn * once < until
+    ]
+    return repeated, begin + turns.stop * once < until
+
+
+def _spans(event: OpenADREvent, now: pd.Timestamp) -> Iterator[Timed]:
+    """Beginning and length of each interval; one that does not say when follows the one before."""
     common = event.intervalPeriod or Period()
-    start = None if common.start is None else _time(common.start)
+    start = None if common.start is None else _time(common.start, now)
     for part in event.intervals:
         own = part.intervalPeriod or Period()
-        start = start if own.start is None else _time(own.start)
+        if own.start is not None and (start is None or not NOW.fullmatch(own.start)):
+            start = _time(own.start, now)
         text = own.duration or common.duration
         if start is None or text is None:
             raise _wrong("intervalPeriod", "is missing", "Give a start and a duration.")
         length = _length(text)
-        yield start, length, part
-        start = start + length
-        if start.year > payloads.LAST_YEAR:
+        yield Timed(start, length, part)
+        start = None if length is None else start + length
+        if start is not None and start.year > payloads.LAST_YEAR:
             raise _wrong("intervalPeriod", payloads.OTHER_CENTURY, "Give an earlier end.")
 
 
-def _body(
-    payload: Payload,
-    start: pd.Timestamp,
-    length: pd.Timedelta,
-    event: OpenADREvent,
-    believes: bool,
-) -> dict[str, Any]:
+def _body(payload: Payload, span: Timed, event: OpenADREvent, believes: bool) -> dict[str, Any]:
     """Our event of a payload; empty if it means nothing here."""
-    span = {"source": SOURCE, "start": written(start), "end": written(start + length)}
-    seconds = f"PT{round(length.total_seconds())}S"
-    if payload.type == "ALERT_POSSIBLE_OUTAGE" and believes:
+    begin, lasts = written(span.start), min(span.end - span.start, LONGEST)
+    interval: dict[str, Any] = {
+        "source": SOURCE, "start": begin, "end": None if span.end == OPEN else written(span.end)
+    }  # fmt: skip
+    if payload.type == POSSIBLE and believes:
         return {
             "type": "outage_belief",
             "source": SOURCE,
             "probability": POSSIBLE_OUTAGE,
-            "onset": {"start": span["start"], "resolution": seconds, "probabilities": [1.0]},
+            "onset": {"start": begin, "resolution": _seconds(lasts), "probabilities": [1.0]},
             "openadr_type": payload.type,
         }
-    if payload.type == "ALERT_POSSIBLE_OUTAGE" or payload.type in ALERTS:
+    if payload.type.startswith(ALERT):
         words = ", ".join(str(value) for value in payload.values)
-        return {"type": "alert", **span, "text": f"{payload.type} {words}".strip()[:500]}
+        return {"type": "alert", **interval, "text": f"{payload.type} {words}".strip()[:500]}
     if payload.type == "IMPORT_CAPACITY_LIMIT":
-        factor = POWER_KW.get((_unit(event, payload.type, "units") or "KW").upper())
-        if not factor:
-            raise _wrong("units", "is no unit of power that is known", "Give KW, W or MW.")
-        return {"type": "import_limit", **span, "limit_kw": factor * _number(payload)}
+        factor = _factor(event, payload.type, POWER_KW, "KW")
+        (limit,) = _numbers(payload, most=1)
+        return {"type": "import_limit", **interval, "limit_kw": factor * limit}
     if payload.type == "PRICE":
         currency = _unit(event, payload.type, "currency") or POUND
         if currency != POUND:
             raise _wrong("currency", "is another than the site's", f"Give prices in {POUND}.")
+        factor = _factor(event, payload.type, ENERGY_KWH, "KWH")
+        values = _numbers(payload)
+        # Several values share the time of their interval.
+        each = (lasts if span.length is None else span.length) / len(values)
         return {
             "type": "price",
             "source": SOURCE,
-            "start": span["start"],
-            "resolution": seconds,
-            "price_gbp_per_kwh": [_number(payload)],
+            "start": begin,
+            "resolution": _seconds(each),
+            "price_gbp_per_kwh": [value / factor for value in values[: -(-lasts // each)]],
         }
     return {}
+
+
+def _seconds(length: pd.Timedelta) -> str:
+    """A duration of ISO 8601."""
+    return f"PT{round(length.total_seconds())}S"
+
+
+def _factor(event: OpenADREvent, kind: str, known: Mapping[str, float], usual: str) -> float:
+    """Size of the unit that the descriptor of a type names."""
+    unit = (_unit(event, kind, "units") or usual).upper()
+    if unit not in known:
+        cure = f"Give {', '.join([*known][:-1])} or {[*known][-1]}."
+        raise _wrong("units", f"of {kind} is none that is known", cure, unit)
+    return known[unit]
 
 
 def _unit(event: OpenADREvent, kind: str, field: str) -> str | None:
@@ -203,32 +275,41 @@ def _unit(event: OpenADREvent, kind: str, field: str) -> str | None:
     return None
 
 
-def _number(payload: Payload) -> float:
-    """The only value."""
+def _numbers(payload: Payload, most: int = payloads.MOST_VALUES) -> list[float]:
+    """Values of a payload that are numbers."""
     try:
-        (value,) = _ONE.validate_python(payload.values)
+        found = _NUMBERS.validate_python(payload.values)
     except ValidationError:
-        raise _wrong("values", f"of {payload.type} is not one number", "Give [number].") from None
-    return float(value)
+        found = []
+    if not 0 < len(found) <= most:
+        wanted = "one number" if most == 1 else "numbers"
+        raise _wrong("values", f"of {payload.type} are not {wanted}", "Give [number].") from None
+    return found
 
 
-def _time(text: str) -> pd.Timestamp:
+def _time(text: str, now: pd.Timestamp) -> pd.Timestamp:
+    """A time, of which the first of all means now."""
+    if NOW.fullmatch(text):
+        return now
     try:
         return payloads.read_moment(text)
     except ValueError as error:
         raise _wrong("start", str(error), "Give a time.", text) from None
 
 
-def _length(text: str) -> pd.Timedelta:
-    """A duration of ISO 8601, days included."""
-    problem = _wrong("duration", "is no duration of up to a year", "Give PT1H or P1D.", text)
-    if not text.startswith("P"):
+def _length(text: str, zero: bool = False) -> pd.Timedelta | None:
+    """A duration of ISO 8601, None of one without end; months and years have no one length."""
+    if text == ENDLESS:
+        return None
+    cure = f"Give PT1H or P1D; {ENDLESS} has no end."
+    problem = _wrong("duration", "is no duration of up to a year", cure, text)
+    if not text.startswith("P") or _CALENDAR.fullmatch(text):
         raise problem
     try:
-        found = pd.Timedelta(text)
+        found = pd.Timedelta(_DURATION.validate_python(text))
     except (ValueError, OverflowError):
         raise problem from None
-    if not pd.Timedelta(0) < found <= LONGEST:
+    if not pd.Timedelta(0) <= found <= LONGEST or not (found or zero):
         raise problem
     return found
 

@@ -25,7 +25,7 @@ from vppres.service.events.faults import faults_at
 from vppres.service.storage.records import DECIDED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import Changes
-from vppres.service.telemetry.knowledge import states_of
+from vppres.service.telemetry.knowledge import check_names, states_of
 
 DEADLINE_SHARE = 0.25
 """Largest share of a step that a window may be searched for."""
@@ -53,6 +53,9 @@ class Service:
     #: Whether the clock is set over HTTP, instead of the machine's; that of a rehearsal is.
     paced: bool = False
     keep_days: float = KEEP_DAYS  #: how long readings and plans are kept, in days
+
+    def __post_init__(self) -> None:
+        check_names(self.scenario)
 
     @property
     def profile(self) -> ClockProfile | None:

@@ -85,7 +85,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     @router.post("/v1/openadr/events", status_code=201)
     def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
         """An event of OpenADR 3 as it stands; it replaces all that an earlier one of it said."""
-        found, ignored = events_of(body, believes(runner.options))
+        found, ignored = events_of(body, believes(runner.options), runner.clock.now())
         _put(body.name, found, those_of(body, runner.store.events()), actor)
         return {"events": list(found), "ignored": ignored}
 

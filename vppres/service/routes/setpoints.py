@@ -14,8 +14,8 @@ from vppres.service.operation.runner import Runner
 from vppres.service.plans.document import points_at
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import check_asset, moment_asked
+from vppres.service.storage.followed import REFUSED
 from vppres.service.storage.records import asks
-from vppres.service.storage.statements import REFUSED
 
 LONGEST_ID = 1300
 """Characters of an identifier: of four bytes of a name twelve are made."""

@@ -8,6 +8,7 @@ counts, however old it is, and the guard adds what was stored since.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,8 +42,8 @@ from vppres.service.events.announced import (
 )
 from vppres.service.of_kind import Stored, Wrong, beyond_rating, every
 from vppres.service.payloads import OperatorSetpoint, Readings
+from vppres.service.storage.followed import REFUSED
 from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
-from vppres.service.storage.statements import REFUSED
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.grid_readings import LIMIT, contradiction, stands_alone
 from vppres.service.telemetry.lost import ONLINE, lost_batteries, lost_customers, undimmed_customers
@@ -209,6 +210,33 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "source_kva": [GRID, *batteries, *(str(unit) for ids in forming for unit in ids)],
         "v_pu": list(scenario.phases.by_bus),
     }
+
+
+def check_names(scenario: Scenario) -> None:
+    """Whether a reading of an asset is always that of one device.
+
+    Raises
+    ------
+    InputError
+        If devices of two kinds that send the same quantity have one name.
+    """
+    shared = {
+        name: quantity
+        for quantity, names in assets_of(scenario).items()
+        for name, count in Counter(names).items()
+        if count > 1
+    }
+    if shared:
+        raise InputError(
+            Problem(
+                "scenario",
+                f"is the name of two devices, and a reading of {quantity} says not whose it is",
+                "Give one of them another identifier.",
+                field="id",
+                value=name,
+            )
+            for name, quantity in shared.items()
+        )
 
 
 def readings_of(

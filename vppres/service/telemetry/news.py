@@ -59,6 +59,8 @@ class News:
     def __init__(self, store: Store, scenario: Scenario) -> None:
         self.store = store
         self.scenario = scenario
+        b = scenario.batteries
+        self._batteries = [*zip(map(str, b.id), b.soc_min, b.soc_max, strict=True)]
         self._missing = set[Key]()
 
     def of(self, readings: Iterable[Reading], until: pd.Timestamp, plan: Plan) -> list[str]:
@@ -117,16 +119,16 @@ class News:
 
         A gauge that stands still is no news, unless the plan waits for it to bear out a jump.
         """
-        stores = reckoned(plan, self.scenario)
-        if not stores.keys() & told.keys():
+        stores = dict(self._reckoned(told, plan))
+        if not stores:
             return
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + self.scenario.grid.step
         latest = self.store.latest(until, {quantity for _, quantity in stores})
         before = {(one.asset, one.quantity): one for one in latest}
         for key, store in stores.items():
-            one, was = told.get(key), before.get(key)
-            if not one or moment(one.time) < begin or (was and was.time > one.time):
+            one, was = told[key], before.get(key)
+            if moment(one.time) < begin or (was and was.time > one.time):
                 continue
             asset, quantity = key
             of_it = (
@@ -137,21 +139,19 @@ class News:
             if moved and store.is_far(one.value, (moment(one.time) - begin) / (end - begin)):
                 yield f"{quantity} of {asset} is {one.value:g} ({one.source})"
 
-
-def reckoned(plan: Plan, scenario: Scenario) -> dict[Key, Reckoned]:
-    """Stores of batteries and units as a plan reckons them; without batteries that are out."""
-    told, odd = expected_by(plan), plan.get("estimated", ())
-    b = scenario.batteries
-    limits = zip(b.id, b.soc_min, b.soc_max, strict=True)
-    found = {
-        (str(name), "soc"): Reckoned(start, end, low, high, SOC_JUMP)
-        for name, low, high in limits
-        if OUT.format(name) not in odd
-        and (start := told.get("soc_start", {}).get(str(name))) is not None
-        and (end := told["soc"].get(str(name))) is not None
-    }
-    of_kinds = (one for kind in every().values() for one in kind.reckoned(scenario, plan))
-    return found | {(name, quantity): store for name, quantity, store in of_kinds}
+    def _reckoned(self, told: Mapping[Key, Reading], plan: Plan) -> Iterator[tuple[Key, Reckoned]]:
+        """Stores that are read, as a plan reckons them; without batteries that are out."""
+        expected, odd = expected_by(plan), plan.get("estimated", ())
+        for asset, low, high in self._batteries:
+            if (asset, "soc") in told and OUT.format(asset) not in odd:
+                start = expected.get("soc_start", {}).get(asset)
+                end = expected["soc"].get(asset) if start is not None else None
+                if end is not None:
+                    yield (asset, "soc"), Reckoned(start, end, low, high, SOC_JUMP)
+        for kind in every().values():
+            for asset, quantity, store in kind.reckoned(self.scenario, plan):
+                if (asset, quantity) in told:
+                    yield (asset, quantity), store
 
 
 def is_lost(late: Mapping[str, Any]) -> bool:
