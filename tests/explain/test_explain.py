@@ -140,6 +140,22 @@ def test_energy_by_hand() -> None:
     assert answer.prices.service[1] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_one_more_kwh_of_an_empty_battery_of_megawatt_hours_gains_what_it_serves() -> None:
+    empty = with_battery(
+        island(energy_kwh=0.0, steps=3),
+        energy_kwh=34_200.0,
+        p_max_kw=48_613.0,
+        s_max_kva=72_920.0,
+        eta_charge=0.95,
+        eta_discharge=0.7,
+    )
+    load_kw, limit_kw = np.tile([140.0, 23_410.0], (3, 1)), np.array([0.0, 0.0, np.inf])
+    run = run_day(replace(empty, load_kw=load_kw, grid_limit_kw=limit_kw))
+    _, prices = tables(explain_day(run))
+    stored = prices.loc[prices["constraint"] == "stored_energy", "weighted_h"]
+    assert stored.tolist()[:2] == pytest.approx([0.7 / 140.0] * 2, rel=0.02)
+
+
 def test_energy_kept_for_later_by_hand() -> None:
     day = island(energy_kwh=60.0, steps=2)
     answer = solved(replace(day, load_kw=np.array([[30.0, 30.0], [60.0, 30.0]])))

@@ -33,7 +33,9 @@ OF_BATTERIES = (
 """Shadow prices with one value for each battery."""
 
 MORE_KWH = 1e-2
-"""Stored energy by which it is tried what more of it gains: far above what solvers leave."""
+MORE_SHARE = 1e-5
+"""Stored energy by which it is tried what more of it gains, and its least share of a battery's
+capacity: far above what solvers leave, and what counts as a rounding of a state of charge."""
 
 LESS = 0.99
 """Share of a price below which one more unit gains less than it says, beyond any noise."""
@@ -148,12 +150,13 @@ def _as_more_gains(
     """
     told = answer.prices.stored_energy.copy()
     solved = np.zeros(len(told), dtype=bool)
+    more_kwh = np.maximum(MORE_KWH, MORE_SHARE * energy_kwh)
     # A battery's price is never less than what it gains, so the most is one that is solved.
     while (told > WORTH).any() and not solved[best := int(np.argmax(told))]:
-        more = richer(np.where(np.arange(len(told)) == best, MORE_KWH / energy_kwh, 0.0))
+        more = richer(np.where(np.arange(len(told)) == best, more_kwh / energy_kwh, 0.0))
         if more is None:
             break
-        gained = max((more.value - answer.value) / MORE_KWH, 0.0)
+        gained = max((more.value - answer.value) / more_kwh[best], 0.0)
         if gained >= LESS * told[best]:
             break
         told[best], solved[best] = gained, True
