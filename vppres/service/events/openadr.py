@@ -172,7 +172,7 @@ def those_of(event: OpenADREvent, names: Iterable[str]) -> list[str]:
 def _repeated(event: OpenADREvent, now: pd.Timestamp) -> tuple[list[Timed], bool]:
     """Intervals up to the end of the event, which may cut or repeat them, and whether some lack.
 
-    Repetitions that are over are left out, and those that begin later than in a year.
+    Repetitions that are over before the last are left out, and those later than in a year.
     """
     spans = [*_spans(event, now)]
     lasts = None if event.duration is None else _length(event.duration, zero=True)
@@ -183,9 +183,10 @@ def _repeated(event: OpenADREvent, now: pd.Timestamp) -> tuple[list[Timed], bool
     once = max(span.end for span in spans) - begin
     each = sum(len(span.part.payloads) for span in spans)
     most = max(payloads.MOST_VALUES // max(each, 1), 1)
-    first = max((now - begin) // once, 0)
     last = min(until, max(now, begin) + LONGEST)
-    turns = range(first, min(first + most, -((begin - last) // once)))
+    end = -((begin - last) // once)
+    first = min(max((now - begin) // once, 0), end - 1)
+    turns = range(first, min(first + most, end))
     repeated = [
         replace(span, start=span.start + turn * once, until=until)
         for turn in turns
