@@ -156,7 +156,7 @@ def test_the_guard_refuses_what_units_cannot_do(it: Example) -> None:
     for t, wrong_kw, words in it.wrong:
         day = it.day.between(t, it.day.grid.n_steps)
         data = known(day)
-        seen = replace(first_step(day, data), ahead=data.ahead)
+        seen = first_step(day, data)
         plan = solved(day, data=data).dispatch
         assert violations(Decision(plan), seen) == []
         wrong = plan.acting(it.kind, np.full((plan.n_steps, 1), wrong_kw))

@@ -220,4 +220,4 @@ class RunOptions:
 
     def as_record(self) -> dict[str, Any]:
         """The options as JSON can hold them."""
-        return asdict(self)
+        return asdict(replace(self, switching=self.rules))

@@ -102,6 +102,7 @@ class Latest:
         # Silence brings neither a device nor the grid back.
         found = [one for one in store.latest(until, INSTANT) if one.quantity not in LASTING]
         found += store.latest(until, LASTING, known=True)
+        found.sort(key=lambda one: (one.quantity == ONLINE, one.asset, one.quantity))
         for kind in every().values():
             found = kind.of_those_here(found)
         return cls(found, seconds(time), step_s)
