@@ -75,6 +75,11 @@ class StepState:
         return np.asarray(self.now.pv_kw[0])
 
     @property
+    def soc(self) -> Floats:
+        """State of charge, (B,)."""
+        return np.asarray(self.now.soc)
+
+    @property
     def grid_limit_kw(self) -> float:
         """Largest import, 0 in an outage."""
         return float(self.now.grid_limit_kw[0])

@@ -64,8 +64,9 @@ class Recorded:
 
     @property
     def rules(self) -> bool:
-        """Whether switching rules restrained who is served."""
-        return SwitchingRules(**self.options.get("switching", {})).active
+        """Whether switching rules can have restrained who is served."""
+        rules = SwitchingRules(**self.options.get("switching", {}))
+        return rules.restrain(self.scenario.grid.dt_h)
 
     def note(self, t: int, column: str) -> str:
         """A column of text of the steps table, empty where there is none."""

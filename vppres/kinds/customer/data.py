@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -71,6 +71,18 @@ class SwitchingRules:
     def active(self) -> bool:
         """Whether any rule concerns who is served; the weight of moves does not."""
         return asdict(self) | {"move_weight": 0.0} != asdict(SwitchingRules())
+
+    def restrain(self, dt_h: float) -> bool:
+        """Whether any rule can keep a customer on or off: a least time of one step cannot.
+
+        >>> [SwitchingRules(min_served_h=1.0).restrain(dt_h) for dt_h in (0.25, 1.0)]
+        [True, False]
+        """
+        served_h, unserved_h = (
+            hours if self.steps(hours, dt_h) > 1 else 0.0
+            for hours in (self.min_served_h, self.min_unserved_h)
+        )
+        return replace(self, min_served_h=served_h, min_unserved_h=unserved_h).active
 
     @property
     def cold(self) -> bool:
